@@ -1,0 +1,74 @@
+"""What a run of sensors leaves behind: IMU samples, altitudes and, where known, the true attitude.
+
+A simulator makes a :class:`Recording`, a bag is read into one, and estimators and scores take one,
+so simulated and real data go the same way. Frames and units: see :mod:`inertial`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class ImuSeries:
+    """IMU samples in the order received.
+
+    Attributes
+    ----------
+    stamp_ns : (N,) int64
+    gyro_b : (N, 3) float64, rad/s, FRD
+    accel_b : (N, 3) float64, specific force, m/s^2, FRD
+    """
+
+    stamp_ns: np.ndarray
+    gyro_b: np.ndarray
+    accel_b: np.ndarray
+
+    def __len__(self):
+        return len(self.stamp_ns)
+
+
+@dataclass(frozen=True)
+class AltitudeSeries:
+    """Altimeter samples in the order received.
+
+    Attributes
+    ----------
+    stamp_ns : (M,) int64, when each value was valid
+    altitude : (M,) float64, m, up
+    arrival : (M,) int64, how many IMU samples had been received before each value
+    """
+
+    stamp_ns: np.ndarray
+    altitude: np.ndarray
+    arrival: np.ndarray
+
+    def __len__(self):
+        return len(self.stamp_ns)
+
+
+@dataclass(frozen=True)
+class AttitudeSeries:
+    """Attitudes with their stamps.
+
+    Attributes
+    ----------
+    stamp_ns : (K,) int64
+    q_nb_wxyz : (K, 4) float64
+    """
+
+    stamp_ns: np.ndarray
+    q_nb_wxyz: np.ndarray
+
+    def __len__(self):
+        return len(self.stamp_ns)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One run: the IMU, and the altimeter and the truth where there are any."""
+
+    name: str
+    imu: ImuSeries
+    altitude: AltitudeSeries | None = None
+    truth: AttitudeSeries | None = None
