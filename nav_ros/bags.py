@@ -1,0 +1,394 @@
+"""Rosbag2 folders and files, read and written without a ROS installation (through rosbags).
+
+Reading goes in recorded order, by receive time. Whatever is wrong with a bag is one :class:`BagError` with
+one line; a recording that was cut off is read up to the break, and a :class:`BagWarning` says so.
+"""
+
+import struct
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import apsw
+import numpy as np
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderError, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from inertial.recording import AltitudeSeries, AttitudeSeries, ImuSeries, Recording
+from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
+from nav_ros.broken_mcap import read_broken_mcap, zstd
+from nav_ros.frames import q_nb_from_orientation, swap_flu_frd
+from nav_ros.messages import ACCEL, GYRO, IMU, POINT, PRESSURE, QUATERNION, decode_batch
+
+TOPICS = {"imu": "/imu/data_raw", "altitude": "/altitude", "pressure": "/pressure",
+          "truth": "/ground_truth/attitude", "output": "/imu/data"}
+"""What is on which topic unless told otherwise."""
+
+TYPES = {"imu": IMU, "altitude": POINT, "pressure": PRESSURE, "truth": QUATERNION, "output": IMU}
+"""The message type of each of :data:`TOPICS`."""
+
+_SUFFIXES = (".mcap", ".db3")
+# What rosbags lets out of damaged files besides its own error.
+_DAMAGE = (ReaderError, ValueError, TypeError, LookupError, ArithmeticError, AssertionError, EOFError,
+           RuntimeError, MemoryError, struct.error, zstd.ZstdError, apsw.Error)
+
+
+class BagError(Exception):
+    """Raised for anything wrong with a bag, with one line for its user."""
+
+
+class BagWarning(UserWarning):
+    """Something about a bag that its user should know, though it could be read."""
+
+
+class BagMessage(NamedTuple):
+    """One recorded message."""
+
+    topic: str
+    receive_ns: int
+    raw: bytes
+
+
+class BagReader:
+    """An open bag: a rosbag2 folder, or a lone .mcap or .db3 file.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Attributes
+    ----------
+    name : str
+        Of the folder or file.
+    types : dict
+        Topic -> message type.
+    broken : str or None
+        Why the bag ends early, once that is known; a :class:`BagWarning` has been given.
+
+    Raises
+    ------
+    BagError
+        There is no bag that can be read.
+    """
+
+    def __init__(self, path):
+        self._path = Path(path)
+        self.name = self._path.stem if self._path.suffix in _SUFFIXES else self._path.resolve().name
+        self.broken = None
+        self._salvaged = []
+        self._readers = []
+        self.types = {}
+        for part in _parts(self._path):
+            self._open(part)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def close(self):
+        """Close the files."""
+        for reader in self._readers:
+            reader.close()
+        self._readers.clear()
+
+    def require(self, topic, message_type=None):
+        """Check that the bag has a topic, of a given type.
+
+        Raises
+        ------
+        BagError
+            Naming the topic and those which are there.
+        """
+        if topic not in self.types:
+            there = ", ".join(sorted(self.types)) or "none"
+            raise BagError(f"{self._path}: no topic {topic}; topics there: {there}")
+        if message_type is not None and self.types[topic] != message_type:
+            raise BagError(f"{self._path}: topic {topic} is {self.types[topic]}, expected {message_type}")
+
+    def messages(self, topics=None):
+        """Yield a (topic, receive_ns, raw) :class:`BagMessage` each, in recorded order.
+
+        Parameters
+        ----------
+        topics : iterable of str, optional
+            All by default.
+
+        Raises
+        ------
+        BagError
+            A topic is not there.
+        """
+        topics = set(self.types if topics is None else topics)
+        for topic in sorted(topics):
+            self.require(topic)
+        for reader in self._readers:
+            yield from self._read(reader, topics)
+        for message in self._salvaged:
+            if message.topic in topics:
+                yield message
+
+    def _open(self, part):
+        try:
+            reader = Reader(part)
+            reader.open()
+        except (OSError, *_DAMAGE) as error:
+            files = _storage_files(part) if part.is_dir() else []
+            for file in files:
+                self._open(file)
+            if not files:
+                self._salvage(part, str(error))
+            return
+        self._readers.append(reader)
+        self.types.update({connection.topic: connection.msgtype for connection in reader.connections})
+
+    def _salvage(self, file, reason):
+        try:
+            found = read_broken_mcap(file.read_bytes())
+        except (OSError, ValueError):
+            found = None
+        if not found or not found.messages:
+            raise BagError(f"{file}: not a bag that can be read ({_one_line(reason)})")
+        self.types.update(found.types)
+        self._salvaged += [BagMessage(*message) for message in found.messages]
+        span = (found.messages[-1][1] - found.messages[0][1]) * 1e-9
+        self._tell_break(reason, f"{len(found.messages)} messages over {span:.1f} s")
+
+    def _read(self, reader, topics):
+        connections = [connection for connection in reader.connections if connection.topic in topics]
+        if not connections:
+            return
+        count = 0
+        try:
+            for connection, receive_ns, raw in reader.messages(connections):
+                yield BagMessage(connection.topic, receive_ns, raw)
+                count += 1
+        except _DAMAGE as error:
+            self._tell_break(str(error), f"{count} messages")
+
+    def _tell_break(self, reason, what):
+        self.broken = _one_line(reason)
+        warnings.warn(f"{self._path}: the recording is cut off or damaged ({self.broken}); read {what} up to "
+                      "the break", BagWarning, stacklevel=4)
+
+
+def read_messages(path, topics=None):
+    """Yield the (topic, receive_ns, raw) of a bag's messages in recorded order.
+
+    Parameters
+    ----------
+    path : path-like
+    topics : dict or iterable of str, optional
+        Topics, or topic -> message type to insist on. All by default.
+
+    Raises
+    ------
+    BagError
+    """
+    with BagReader(path) as bag:
+        for topic in topics or ():
+            bag.require(topic, topics[topic] if isinstance(topics, dict) else None)
+        yield from bag.messages(topics)
+
+
+class BagWriter:
+    """Writes a bag; the same input gives the same bytes.
+
+    Parameters
+    ----------
+    path : path-like
+        The folder to make; its name becomes that of the file in it.
+    topics : dict
+        Topic -> message type, the most written one first (rosbags searches its list at every write).
+    storage : {"mcap", "sqlite3"}
+        MCAP is compressed by zstd in chunks.
+
+    Raises
+    ------
+    BagError
+        The folder exists or cannot be made.
+    """
+
+    def __init__(self, path, topics, storage="mcap"):
+        plugins = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
+        if storage not in plugins:
+            raise BagError(f"storage {storage!r}: must be one of {', '.join(plugins)}")
+        if Path(path).exists():
+            raise BagError(f"{path} exists already and is not overwritten")
+        self._writer = Writer(path, version=9, storage_plugin=plugins[storage])
+        if storage == "mcap":
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        try:
+            self._writer.open()
+        except OSError as error:
+            raise BagError(f"{path}: cannot be written ({error.strerror})") from error
+        store = get_typestore(Stores.ROS2_JAZZY)
+        self._connections = {
+            topic: self._writer.add_connection(topic, message_type, typestore=store,
+                                               offered_qos_profiles=[_SENSOR_QOS])
+            for topic, message_type in topics.items()}
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def close(self):
+        """Finish the bag; what was written before an exception is kept readable."""
+        self._writer.close()
+
+    def write(self, topic, receive_ns, raw):
+        """Append one serialized message.
+
+        Parameters
+        ----------
+        topic : str
+            One of those given at the start.
+        receive_ns : int
+        raw : bytes
+        """
+        self._writer.write(self._connections[topic], receive_ns, raw)
+
+
+_ANY_TIME = QosTime(0, 0)
+_SENSOR_QOS = Qos(QosHistory.KEEP_LAST, 100, QosReliability.BEST_EFFORT, QosDurability.VOLATILE, _ANY_TIME,
+                  _ANY_TIME, QosLiveliness.AUTOMATIC, _ANY_TIME, False)
+
+
+def choose_altitude(types, topics, altitude_source="auto"):
+    """Return the key ("altitude", "pressure" or None) of the altimeter topic to use.
+
+    Parameters
+    ----------
+    types : dict
+        Topic -> message type, what is there.
+    topics : dict
+        Key -> topic, see :data:`TOPICS`.
+    altitude_source : {"auto", "altitude", "pressure", "none"}
+
+    Raises
+    ------
+    BagError
+        Both are there and none was chosen, or the chosen one is not there.
+    """
+    there = [key for key in ("altitude", "pressure") if topics[key] in types]
+    if altitude_source == "none" or (altitude_source == "auto" and not there):
+        return None
+    if altitude_source == "auto" and len(there) == 2:
+        raise BagError(f"both {topics['altitude']} and {topics['pressure']} are there: choose one by "
+                       "altitude_source")
+    if altitude_source != "auto" and altitude_source not in there:
+        raise BagError(f"altitude_source is {altitude_source}, but there is no topic "
+                       f"{topics[altitude_source]}")
+    return there[0] if altitude_source == "auto" else altitude_source
+
+
+def read_recording(path, topics=None, altitude_source="auto"):
+    """Read IMU, altimeter and truth of a bag, in FRD and NED.
+
+    Parameters
+    ----------
+    path : path-like
+    topics : dict, optional
+        Key -> topic, where it is not as in :data:`TOPICS`.
+    altitude_source : {"auto", "altitude", "pressure", "none"}
+
+    Returns
+    -------
+    inertial.recording.Recording
+        Stamps that are not times are -1; malformed messages and refused altitudes are left out with a
+        :class:`BagWarning`.
+
+    Raises
+    ------
+    BagError
+        There is no such bag, no IMU in it, or a topic of another type.
+    """
+    topics = TOPICS | (topics or {})
+    with BagReader(path) as bag:
+        bag.require(topics["imu"])
+        altimeter = choose_altitude(bag.types, topics, altitude_source)
+        keys = ["imu", *([altimeter] if altimeter else []), *(["truth"] * (topics["truth"] in bag.types))]
+        for key in keys:
+            bag.require(topics[key], TYPES[key])
+        raws, arrival = _collect(bag, {topics[key]: key for key in keys})
+        name = bag.name
+    batches = {key: _decode(path, topics[key], TYPES[key], raws[key]) for key in keys}
+    imu = batches["imu"]
+    series = ImuSeries(imu.stamp_ns, swap_flu_frd(imu.values[:, GYRO]), swap_flu_frd(imu.values[:, ACCEL]))
+    altitude = truth = None
+    if altimeter:
+        altitude = _altitudes(path, topics[altimeter], TYPES[altimeter], batches[altimeter], arrival)
+    if "truth" in batches and len(batches["truth"]):
+        truth = AttitudeSeries(batches["truth"].stamp_ns, q_nb_from_orientation(batches["truth"].values))
+    return Recording(name, series, altitude, truth)
+
+
+def _collect(bag, keys):
+    """Return the raw messages by key, and how many of the IMU's came before each of the altimeter's."""
+    raws, arrival = {key: [] for key in keys.values()}, []
+    for topic, _, raw in bag.messages(keys):
+        key = keys[topic]
+        if key in ("altitude", "pressure"):
+            arrival.append(len(raws["imu"]))
+        raws[key].append(raw)
+    return raws, np.array(arrival, np.int64)
+
+
+def _decode(path, topic, message_type, raws):
+    batch = decode_batch(message_type, raws)
+    if batch.malformed:
+        index, reason = next(iter(batch.malformed.items()))
+        warnings.warn(f"{path}: {len(batch.malformed)} of {len(raws)} messages of {topic} are malformed, "
+                      f"the first is number {index}: {reason}", BagWarning, stacklevel=3)
+    return batch
+
+
+def _altitudes(path, topic, message_type, batch, arrival):
+    source, kept, altitude, refused = AltitudeSource(message_type), [], [], []
+    for k, values in enumerate(batch.values.tolist()):
+        try:
+            altitude.append(source.convert(values).altitude)
+            kept.append(k)
+        except AltitudeRefusedError as error:
+            refused.append(str(error))
+    if refused:
+        warnings.warn(f"{path}: {len(refused)} of {len(batch)} samples of {topic} refused: {refused[0]}",
+                      BagWarning, stacklevel=3)
+    if not kept:
+        return None
+    return AltitudeSeries(batch.stamp_ns[kept], np.array(altitude), arrival[batch.index[kept]])
+
+
+def _parts(path):
+    """Return what rosbags should open: the folder, or the files of a folder without metadata."""
+    if not path.exists():
+        raise BagError(f"{path}: there is no such file or folder")
+    if path.name == "metadata.yaml":
+        path = path.parent
+    if path.is_dir() and not (path / "metadata.yaml").exists():
+        files = _storage_files(path)
+        if not files:
+            raise BagError(f"{path}: not a bag, the folder has no metadata.yaml, .mcap or .db3 file")
+        return files
+    if path.is_file() and path.suffix not in _SUFFIXES:
+        raise BagError(f"{path}: not a bag, expected a rosbag2 folder or a .mcap or .db3 file")
+    return [path]
+
+
+def _storage_files(folder):
+    return sorted(file for file in folder.iterdir() if file.suffix in _SUFFIXES)
+
+
+def _one_line(text):
+    return " ".join(str(text).split())
