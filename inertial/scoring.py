@@ -104,7 +104,7 @@ def score_attitude(stamp_ns, q_nb_wxyz, tilt_covariance_n, valid, truth, settle=
     since_settled = (stamp_ns - stamp_ns[0]) * 1e-9 - settle
     skipped_s = np.sum(np.minimum(step, since_settled)[settled & ~used])
     covariance = np.asarray(tilt_covariance_n, dtype=float)[used]
-    if np.any(np.linalg.det(covariance) <= 0):
+    if np.any(covariance[:, 0, 0] * covariance[:, 1, 1] <= covariance[:, 0, 1] ** 2):
         raise ValueError("tilt_covariance_n is not positive definite at a stamp with an attitude")
     return _score(q_nb_wxyz[used], covariance, true_down_b[used], np.count_nonzero(scoreable),
                   float(skipped_s))
