@@ -1,0 +1,941 @@
+"""Compiled kernels of the estimators, from one sample to a whole recording.
+
+State, parameters, history and output rows are flat float64 arrays: a sample is one call without
+allocation and a snapshot is one copy. The layouts below are the only place that knows positions;
+they stand in this file because compiled code is cached per file. Then, bottom up: the default
+filter, the paper's filter, the checks of a sample, the time buffer, a recording.
+Equations: ``docs/attitude.md``. Frames and units: :mod:`inertial`.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from inertial._kernels import zoh_coefficients
+
+
+def _offsets(*sizes):
+    """Return the offset of each field and the total size."""
+    ends = [0]
+    for size in sizes:
+        ends.append(ends[-1] + size)
+    return ends
+
+
+# State vector: down_b (3), velocity down, altitude, gyro bias (3), accelerometer bias (3).
+# The paper's filter has the first five.
+N = 11
+N5 = 5
+VD, ALT, BG, BA = 3, 4, 5, 8
+
+# Filter state: first what every model has, then what only the default one has.
+(X, P, ATTITUDE, ELAPSED, INTERVAL, HELD, STUCK, GYRO, ACCEL, GYRO_LP, ACCEL_LP, GYRO_SPREAD,
+ ACCEL_SPREAD, REST, NORTH, YAW_STD, YAW_VAR, ALT_COUNT, SINCE_ALT,
+ GRAVITY, GRAVITY_BG, GRAVITY_BA, SINCE_GRAVITY, RESIDUAL, NORM_EXCESS, FREE_FALL,
+ ALT_LAST, ALT_BEFORE, ALT_SPREAD, ALT_STEP, ALT_PERSISTENCE, ALT_REFUSED,
+ STATE_SIZE) = _offsets(
+    N, N * N,
+    1,  # ATTITUDE: 1 once there is one
+    1, 1,  # ELAPSED s since the start; INTERVAL s, running mean
+    1, 1,  # HELD s without a good rate; STUCK s of identical samples
+    3, 3,  # GYRO, ACCEL: the last good sample
+    3, 3, 1, 1,  # low-passed sample, and low-passed squared distance from it
+    1,  # REST s of stillness
+    3, 1, 1,  # NORTH unit vector: zero of the yaw; its spread: grows as t (rad), as sqrt t (rad^2)
+    1, 1,  # ALT_COUNT; SINCE_ALT s
+    3, 9, 9,  # GRAVITY low-passed force; -1/g of its sensitivity to gyro bias; to accelerometer bias
+    1, 1, 1,  # SINCE_GRAVITY s; RESIDUAL (m/s^2)^2; NORM_EXCESS (m/s^2)^2
+    1,  # FREE_FALL: 1 while the low-passed force is too small to show gravity
+    1, 1, 1, 1, 1, 1)  # last altitudes, their spread (m^2) and resolution (m), jump tests
+
+# Parameters, by the name of the AttitudeParams field or derived value.
+PARAMETER_NAMES = (
+    "model", "local_gravity", "earth_rate_down",
+    "gyro_noise_density", "gyro_rate_error", "accel_noise_density", "accel_force_error",
+    "gyro_bias_std", "gyro_bias_walk", "accel_bias_std", "accel_bias_time",
+    "gravity_time", "gravity_floor_std", "gravity_residual_share", "gravity_decay_time",
+    "gravity_norm_share", "gravity_norm_margin", "gravity_start_std", "gravity_bias_share",
+    "rest_gyro_std", "rest_accel_std",
+    "altitude_std", "altitude_drift_density", "altitude_scale_error", "altitude_delay",
+    "altitude_gate", "altitude_step_gate",
+    "gyro_range", "accel_range", "altitude_buffer", "gap_limit")
+(P_MODEL, P_GRAVITY, P_EARTH_RATE_DOWN,
+ P_GYRO_NOISE, P_GYRO_RATE_ERROR, P_ACCEL_NOISE, P_ACCEL_FORCE_ERROR,
+ P_GYRO_BIAS_STD, P_GYRO_BIAS_WALK, P_ACCEL_BIAS_STD, P_ACCEL_BIAS_TIME,
+ P_GRAVITY_TIME, P_GRAVITY_FLOOR, P_GRAVITY_SHARE, P_GRAVITY_DECAY,
+ P_NORM_SHARE, P_NORM_MARGIN, P_START_STD, P_BIAS_SHARE,
+ P_REST_GYRO_STD, P_REST_ACCEL_STD,
+ P_ALT_STD, P_ALT_DRIFT, P_ALT_SCALE_ERROR, P_ALT_DELAY,
+ P_ALT_GATE, P_ALT_STEP_GATE,
+ P_GYRO_RANGE, P_ACCEL_RANGE, P_ALT_BUFFER, P_GAP_LIMIT) = range(len(PARAMETER_NAMES))
+
+# One row of output.
+(OUT_VALID, OUT_Q, OUT_TILT_COV, OUT_YAW_VAR, OUT_DOWN, OUT_VD, OUT_ALT, OUT_VD_VAR, OUT_ALT_VAR,
+ OUT_BG, OUT_BA, OUT_BG_VAR, OUT_BA_VAR, OUT_GYRO, OUT_ACCEL, OUT_SIZE) = _offsets(
+    1,  # 1 while there is an attitude
+    4, 3, 1,  # q_nb_wxyz; covariance NN, NE, EE of the tilt, rad^2; variance of the yaw
+    3, 1, 1, 1, 1,  # down_b; velocity down and altitude with their variances
+    3, 3, 3, 3,  # biases of gyro and accelerometer, then their variances
+    3, 3)  # rate and force with the bias removed
+
+# Integers: the time buffer's bookkeeping, then one counter per fault.
+HISTORY = 1024  # IMU samples that can be taken back
+ALTITUDES = 128  # altitudes remembered
+(I_HEAD, I_STORED, I_ALTITUDES, I_NEXT, I_LAST_STAMP, I_COUNTS) = range(6)
+FAULTS = ("gyro_not_finite", "accel_not_finite", "gyro_out_of_range", "accel_out_of_range",
+          "clipped", "stuck", "restarted", "altitude_not_finite", "altitude_late",
+          "altitude_ahead", "altitude_duplicate")
+(F_GYRO_NOT_FINITE, F_ACCEL_NOT_FINITE, F_GYRO_OUT_OF_RANGE, F_ACCEL_OUT_OF_RANGE,
+ F_CLIPPED, F_STUCK, F_RESTARTED, F_ALT_NOT_FINITE, F_ALT_LATE,
+ F_ALT_AHEAD, F_ALT_DUPLICATE) = range(len(FAULTS))
+I_STAMPS = I_COUNTS + len(FAULTS)
+I_ALT_STAMPS = I_STAMPS + HISTORY
+I_SIZE = I_ALT_STAMPS + ALTITUDES
+
+# One row of history: the state after a sample, and the sample as it was used.
+(H_STATE, H_DT, H_SAMPLE, H_GYRO_VAR, H_ACCEL_VAR, H_KNOWN, H_SIZE) = _offsets(
+    STATE_SIZE, 1, 6, 1, 1, 1)
+
+ACTION_USE, ACTION_SKIP, ACTION_RESET = range(3)  # what to do with a sample of a recording
+
+REST_TIME = 1.5  # s of stillness that count as rest
+LOWPASS_TIME = 0.5  # s
+REST_GYRO = math.radians(2.0)  # rad/s about the low-pass
+REST_ACCEL = 0.5  # m/s^2 about the low-pass
+GRAVITY_PERIOD = 0.05  # s between gravity updates
+NORM_TIME = 5.0  # s, low-pass of the norm excess
+FREE_FALL_SHARE = 0.5  # of gravity, below which the low-passed force shows no direction
+ATTITUDE_TRACE = 0.02  # trace of the down direction's covariance below which there is an attitude
+LOST_TRACE = 0.1  # trace above which there is none any more
+ATTITUDE_NORM = 0.5
+VD_STD = 2.0  # m/s at the start
+ALT_START_STD = 5.0  # m
+VD_LOST_STD = 100.0  # m/s, spread beyond which the vertical channel starts anew
+HOLD_TIME = 0.05  # s that a last good rate is held, or 1.5 intervals
+STUCK_TIME = 1.0  # s of identical samples
+STUCK_GYRO_DENSITY = 0.05  # rad/s/sqrt(Hz), added while the sensor is stuck
+STUCK_ACCEL_DENSITY = 1.0  # m/s^2/sqrt(Hz)
+CLIP_SHARE = 0.998  # of the range, above which a component may be clipped
+CLIP_ERROR = 0.1  # of the range, spread of a clipped component
+AHEAD_LIMIT = 1_000_000_000  # ns that an altitude may be ahead of the IMU
+UNKNOWN_ACCEL_STD = 2.0  # m/s^2, spread of the acceleration while the force is unknown
+
+
+@njit(cache=True)
+def initialise(s, p):
+    """Start blind: no down direction, priors on the biases."""
+    s[:] = 0.0
+    n = N if p[P_MODEL] == 0.0 else N5
+    for i in range(3):
+        s[P + (n + 1) * i] = 1.0 / 3.0
+    s[P + (n + 1) * VD] = VD_STD**2
+    s[P + (n + 1) * ALT] = ALT_START_STD**2
+    if n == N:
+        for i in range(3):
+            s[P + (N + 1) * (BG + i)] = p[P_GYRO_BIAS_STD] ** 2
+            s[P + (N + 1) * (BA + i)] = p[P_ACCEL_BIAS_STD] ** 2
+
+
+@njit(cache=True)
+def restart(s, p, gap):
+    """Start blind after a gap (s), but keep what is known of the biases."""
+    kept = s[X + BG:X + N].copy()
+    block = np.empty((6, 6))
+    for i in range(6):
+        for j in range(6):
+            block[i, j] = s[P + N * (BG + i) + BG + j]
+    model = p[P_MODEL]
+    initialise(s, p)
+    if model == 0.0:
+        s[X + BG:X + N] = kept
+        for i in range(6):
+            for j in range(6):
+                s[P + N * (BG + i) + BG + j] = block[i, j]
+        for i in range(3):
+            k = P + (N + 1) * (BG + i)
+            s[k] = min(s[k] + gap * p[P_GYRO_BIAS_WALK] ** 2, max(s[k], p[P_GYRO_BIAS_STD] ** 2))
+
+
+# --- the default filter -----------------------------------------------------------------------------
+
+
+@njit(cache=True)
+def _transition(m, r, jv, jh, c, dt, decay):
+    """Replace the N x N matrix by F times it; r is R^T by rows, c the propagated down direction."""
+    for j in range(N):
+        c0, c1, c2 = m[j], m[N + j], m[2 * N + j]
+        v, h = m[VD * N + j], m[ALT * N + j]
+        b0, b1, b2 = dt * m[BG * N + j], dt * m[(BG + 1) * N + j], dt * m[(BG + 2) * N + j]
+        a0, a1, a2 = m[BA * N + j], m[(BA + 1) * N + j], m[(BA + 2) * N + j]
+        m[j] = r[0] * c0 + r[1] * c1 + r[2] * c2 + c[2] * b1 - c[1] * b2
+        m[N + j] = r[3] * c0 + r[4] * c1 + r[5] * c2 + c[0] * b2 - c[2] * b0
+        m[2 * N + j] = r[6] * c0 + r[7] * c1 + r[8] * c2 + c[1] * b0 - c[0] * b1
+        m[VD * N + j] = (v + jv[0] * c0 + jv[1] * c1 + jv[2] * c2
+                         - dt * (c[0] * a0 + c[1] * a1 + c[2] * a2))
+        m[ALT * N + j] = h - dt * v - jh[0] * c0 - jh[1] * c1 - jh[2] * c2
+        m[BA * N + j] = decay * a0
+        m[(BA + 1) * N + j] = decay * a1
+        m[(BA + 2) * N + j] = decay * a2
+
+
+@njit(cache=True)
+def _transpose(m):
+    for i in range(N):
+        for j in range(i):
+            m[N * i + j], m[N * j + i] = m[N * j + i], m[N * i + j]
+
+
+@njit(cache=True)
+def _motion(dt, wx, wy, wz, fx, fy, fz):
+    """Return R^T by rows, J1 f and J2 f for constant rate and force over dt (attitude.md, 1)."""
+    rate2 = wx * wx + wy * wy + wz * wz
+    k0, k1, k2, k3 = zoh_coefficients(math.sqrt(rate2) * dt)
+    half = 0.5 * dt * dt
+    k0 *= dt
+    k1 *= dt * dt
+    k2 *= dt * dt * dt
+    k3 *= dt * dt * dt * dt
+    r = (1.0 + k1 * (wx * wx - rate2), k0 * wz + k1 * wx * wy, -k0 * wy + k1 * wx * wz,
+         -k0 * wz + k1 * wx * wy, 1.0 + k1 * (wy * wy - rate2), k0 * wx + k1 * wy * wz,
+         k0 * wy + k1 * wx * wz, -k0 * wx + k1 * wy * wz, 1.0 + k1 * (wz * wz - rate2))
+    ux, uy, uz = wy * fz - wz * fy, wz * fx - wx * fz, wx * fy - wy * fx
+    qx, qy, qz = wy * uz - wz * uy, wz * ux - wx * uz, wx * uy - wy * ux
+    jv = (dt * fx + k1 * ux + k2 * qx, dt * fy + k1 * uy + k2 * qy, dt * fz + k1 * uz + k2 * qz)
+    jh = (half * fx + k2 * ux + k3 * qx, half * fy + k2 * uy + k3 * qy, half * fz + k2 * uz + k3 * qz)
+    return r, jv, jh
+
+
+@njit(cache=True)
+def _carry_mean(s, dt, g, r, jv, jh):
+    """Carry down direction, velocity and altitude; return the new down direction."""
+    c0, c1, c2 = s[X], s[X + 1], s[X + 2]
+    s[X + ALT] -= dt * s[X + VD] + jh[0] * c0 + jh[1] * c1 + jh[2] * c2 + 0.5 * dt * dt * g
+    s[X + VD] += jv[0] * c0 + jv[1] * c1 + jv[2] * c2 + dt * g
+    s[X] = r[0] * c0 + r[1] * c1 + r[2] * c2
+    s[X + 1] = r[3] * c0 + r[4] * c1 + r[5] * c2
+    s[X + 2] = r[6] * c0 + r[7] * c1 + r[8] * c2
+    return s[X], s[X + 1], s[X + 2]
+
+
+@njit(cache=True)
+def row_predict(s, p, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
+    """Carry the default filter over dt (s) of constant rate and force, biases not yet removed.
+
+    gyro_var (rad^2) and accel_var (m^2/s^2) are variances that this interval adds to the angles and to
+    the velocity because part of the sample is lost, held or clipped.
+    """
+    down_rate = p[P_EARTH_RATE_DOWN]
+    wx -= s[X + BG] + down_rate * s[X]
+    wy -= s[X + BG + 1] + down_rate * s[X + 1]
+    wz -= s[X + BG + 2] + down_rate * s[X + 2]
+    fx -= s[X + BA]
+    fy -= s[X + BA + 1]
+    fz -= s[X + BA + 2]
+    g = p[P_GRAVITY]
+    r, jv, jh = _motion(dt, wx, wy, wz, fx, fy, fz)
+    c = _carry_mean(s, dt, g, r, jv, jh)
+    decay = max(1.0 - dt / p[P_ACCEL_BIAS_TIME], 0.0)
+    for i in range(3):
+        s[X + BA + i] *= decay
+    m = s[P:P + N * N]
+    _transition(m, r, jv, jh, c, dt, decay)
+    _transpose(m)
+    _transition(m, r, jv, jh, c, dt, decay)
+    rate2 = wx * wx + wy * wy + wz * wz
+    accel2 = (fx + g * c[0]) ** 2 + (fy + g * c[1]) ** 2 + (fz + g * c[2]) ** 2
+    q_angle = dt * (p[P_GYRO_NOISE] ** 2 + p[P_GYRO_RATE_ERROR] ** 2 * rate2) + gyro_var
+    q_vd = dt * (p[P_ACCEL_NOISE] ** 2 + p[P_ACCEL_FORCE_ERROR] ** 2 * accel2) + accel_var
+    _add_multiplicative_noise(s, N, c, q_angle, q_vd)
+    m[(N + 1) * ALT] += dt * (p[P_ALT_DRIFT] ** 2 + (p[P_ALT_SCALE_ERROR] * s[X + VD]) ** 2)
+    for i in range(3):
+        m[(N + 1) * (BG + i)] += dt * p[P_GYRO_BIAS_WALK] ** 2
+        m[(N + 1) * (BA + i)] += 2.0 * dt / p[P_ACCEL_BIAS_TIME] * p[P_ACCEL_BIAS_STD] ** 2
+    return r, c
+
+
+@njit(cache=True)
+def _add_multiplicative_noise(s, n, c, q_angle, q_vd):
+    """Add the covariance of G(x) w: with M = c c^T + Pcc, q (tr M I - M) on c and q tr M on vd."""
+    trace = (s[P] + s[P + n + 1] + s[P + 2 * (n + 1)] + c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
+    for i in range(3):
+        for j in range(3):
+            s[P + n * i + j] -= q_angle * (c[i] * c[j] + s[P + n * i + j])
+        s[P + (n + 1) * i] += q_angle * trace
+    s[P + (n + 1) * VD] += q_vd * trace
+
+
+@njit(cache=True)
+def _rotate(s, at, stride, r, keep):
+    """Replace the vector whose components lie `stride` apart by keep R^T times it."""
+    v0, v1, v2 = keep * s[at], keep * s[at + stride], keep * s[at + 2 * stride]
+    s[at] = r[0] * v0 + r[1] * v1 + r[2] * v2
+    s[at + stride] = r[3] * v0 + r[4] * v1 + r[5] * v2
+    s[at + 2 * stride] = r[6] * v0 + r[7] * v1 + r[8] * v2
+
+
+@njit(cache=True)
+def _carry_gravity(s, p, dt, r, c, fx, fy, fz, force_known):
+    """Low-pass the raw force in the frame that the gyro carries, with its exact sensitivities."""
+    gain = max(dt / (p[P_GRAVITY_TIME] + dt), min(1.0, dt / s[ELAPSED])) if force_known else 0.0
+    keep = 1.0 - gain
+    _rotate(s, GRAVITY, 1, r, keep)
+    for j in range(3):
+        _rotate(s, GRAVITY_BG + j, 3, r, keep)
+        _rotate(s, GRAVITY_BA + j, 3, r, keep)
+        s[GRAVITY_BA + 4 * j] += gain
+    k = keep * dt
+    s[GRAVITY_BG + 1] -= k * c[2]
+    s[GRAVITY_BG + 2] += k * c[1]
+    s[GRAVITY_BG + 3] += k * c[2]
+    s[GRAVITY_BG + 5] -= k * c[0]
+    s[GRAVITY_BG + 6] -= k * c[1]
+    s[GRAVITY_BG + 7] += k * c[0]
+    s[GRAVITY] += gain * fx
+    s[GRAVITY + 1] += gain * fy
+    s[GRAVITY + 2] += gain * fz
+
+
+@njit(cache=True)
+def _row_update(s, p, ph, variance, innovation, share):
+    """Scalar Kalman update; the accelerometer bias takes `share` of its gain (Schmidt)."""
+    inv = 1.0 / variance
+    gain = innovation * inv
+    for j in range(3):
+        d = p[P_GRAVITY] * gain * ph[BG + j]
+        for i in range(3):
+            s[GRAVITY + i] += s[GRAVITY_BG + 3 * i + j] * d
+    for i in range(BA):
+        s[X + i] += gain * ph[i]
+        k = inv * ph[i]
+        for j in range(N):
+            s[P + N * i + j] -= k * ph[j]
+    both = 1.0 - (1.0 - share) ** 2
+    for i in range(BA, N):
+        s[X + i] += share * gain * ph[i]
+        k = inv * ph[i]
+        for j in range(BA):
+            s[P + N * i + j] -= k * ph[j]
+        for j in range(BA, N):
+            s[P + N * i + j] -= both * k * ph[j]
+
+
+@njit(cache=True)
+def _project_rows(s, n, u, inv):
+    """Replace the first three rows of P by (I - u u^T) inv times them."""
+    for j in range(n):
+        c0, c1, c2 = s[P + j], s[P + n + j], s[P + 2 * n + j]
+        along = u[0] * c0 + u[1] * c1 + u[2] * c2
+        s[P + j] = inv * (c0 - u[0] * along)
+        s[P + n + j] = inv * (c1 - u[1] * along)
+        s[P + 2 * n + j] = inv * (c2 - u[2] * along)
+
+
+@njit(cache=True)
+def _normalise(s, n):
+    """Once the direction is known, bring it to unit length and P to its tangent plane."""
+    trace = s[P] + s[P + n + 1] + s[P + 2 * (n + 1)]
+    norm = math.sqrt(s[X] ** 2 + s[X + 1] ** 2 + s[X + 2] ** 2)
+    if trace >= ATTITUDE_TRACE or norm <= ATTITUDE_NORM:
+        if trace >= LOST_TRACE:
+            s[ATTITUDE] = 0.0
+        return
+    u = (s[X] / norm, s[X + 1] / norm, s[X + 2] / norm)
+    _project_rows(s, n, u, 1.0 / norm)
+    for i in range(n):
+        c0, c1, c2 = s[P + n * i], s[P + n * i + 1], s[P + n * i + 2]
+        along = u[0] * c0 + u[1] * c1 + u[2] * c2
+        s[P + n * i] = (c0 - u[0] * along) / norm
+        s[P + n * i + 1] = (c1 - u[1] * along) / norm
+        s[P + n * i + 2] = (c2 - u[2] * along) / norm
+    for i in range(n):
+        for j in range(i):
+            mean = 0.5 * (s[P + n * i + j] + s[P + n * j + i])
+            s[P + n * i + j] = mean
+            s[P + n * j + i] = mean
+    s[X], s[X + 1], s[X + 2] = u
+    _level_north(s)
+
+
+@njit(cache=True)
+def _level_north(s):
+    """Keep the yaw's zero level; when an attitude is first known it lies ahead."""
+    if s[ATTITUDE] == 0.0:
+        s[ATTITUDE] = 1.0
+        ahead = abs(s[X]) < 0.99
+        s[NORTH] = 1.0 if ahead else 0.0
+        s[NORTH + 1] = 0.0
+        s[NORTH + 2] = 0.0 if ahead else 1.0
+    along = s[X] * s[NORTH] + s[X + 1] * s[NORTH + 1] + s[X + 2] * s[NORTH + 2]
+    norm2 = 0.0
+    for i in range(3):
+        s[NORTH + i] -= along * s[X + i]
+        norm2 += s[NORTH + i] ** 2
+    for i in range(3):
+        s[NORTH + i] /= math.sqrt(norm2)
+
+
+@njit(cache=True)
+def _gravity_variance(s, p, elapsed):
+    """Variance of one gravity component: how much the low-passed force may be acceleration."""
+    g, t = p[P_GRAVITY], s[ELAPSED]
+    residual = 0.0
+    norm2 = 0.0
+    for i in range(3):
+        y = s[GRAVITY + i] + g * s[X + i]
+        for j in range(3):
+            y -= s[GRAVITY_BA + 3 * i + j] * s[X + BA + j]
+        residual += y * y
+        norm2 += s[GRAVITY + i] ** 2
+    fall = max(elapsed / (p[P_GRAVITY_DECAY] + elapsed), min(1.0, 2.0 * elapsed / t))
+    s[RESIDUAL] = max(residual, s[RESIDUAL] + fall * (residual - s[RESIDUAL]))
+    slow = max(elapsed / (NORM_TIME + elapsed), min(1.0, elapsed / t))
+    s[NORM_EXCESS] += slow * (norm2 - g * g - s[NORM_EXCESS])
+    s[FREE_FALL] = 1.0 if norm2 < (FREE_FALL_SHARE * g) ** 2 else 0.0
+    if s[REST] >= REST_TIME:
+        return p[P_REST_ACCEL_STD] ** 2 * max(1.0, 1.0 / elapsed)
+    excess = max(s[NORM_EXCESS] - 2.0 * g * p[P_NORM_MARGIN], 0.0)
+    variance = (p[P_GRAVITY_FLOOR] ** 2 + p[P_GRAVITY_SHARE] ** 2 * s[RESIDUAL]
+                + p[P_NORM_SHARE] ** 2 * excess + p[P_START_STD] ** 2 / (1.0 + 4.0 * t * t))
+    return variance * max(1.0, 2.0 * min(p[P_GRAVITY_TIME], t) / elapsed)
+
+
+@njit(cache=True)
+def row_gravity_update(s, p, elapsed):
+    """Three scalar updates with the low-passed force; `elapsed` s since the last ones."""
+    g = p[P_GRAVITY]
+    noise = _gravity_variance(s, p, elapsed)
+    if s[FREE_FALL] == 1.0:
+        return
+    ph = np.empty(N)
+    for i in range(3):
+        w, b = GRAVITY_BG + 3 * i, GRAVITY_BA + 3 * i
+        y = s[GRAVITY + i] + g * s[X + i]
+        for j in range(3):
+            y -= s[b + j] * s[X + BA + j]
+        for k in range(N):
+            row = P + N * k
+            ph[k] = -g * s[row + i]
+            for j in range(3):
+                ph[k] += s[b + j] * s[row + BA + j] - g * s[w + j] * s[row + BG + j]
+        variance = noise - g * ph[i]
+        for j in range(3):
+            variance += s[b + j] * ph[BA + j] - g * s[w + j] * ph[BG + j]
+        _row_update(s, p, ph, variance, y, p[P_BIAS_SHARE])
+    if s[REST] >= REST_TIME:
+        _rest_update(s, p, ph, elapsed)
+    _normalise(s, N)
+
+
+@njit(cache=True)
+def _rest_update(s, p, ph, elapsed):
+    """At rest the low-passed gyro is its bias; a component 4 sigma off is left out."""
+    noise = p[P_REST_GYRO_STD] ** 2 * max(1.0, 1.0 / elapsed)
+    for i in range(3):
+        y = s[GYRO_LP + i] - s[X + BG + i]
+        variance = s[P + (N + 1) * (BG + i)] + noise
+        if y * y < 16.0 * variance:
+            for k in range(N):
+                ph[k] = s[P + N * k + BG + i]
+            _row_update(s, p, ph, variance, y, 1.0)
+
+
+@njit(cache=True)
+def row_altitude_update(s, p, z, message_var, age):
+    """One altitude z (m, up), valid `age` s before the state; message_var m^2 counts when > 0."""
+    noise = message_var if message_var > 0.0 else p[P_ALT_STD] ** 2
+    _learn_altimeter(s, z, noise)
+    noise = max(noise, s[ALT_SPREAD]) + s[ALT_STEP] ** 2 / 12.0
+    noise *= max(1.0, 0.1 / max(s[SINCE_ALT], 1e-3))
+    delay = p[P_ALT_DELAY] + age
+    ph = np.empty(N)
+    for k in range(N):
+        ph[k] = s[P + N * k + ALT] + delay * s[P + N * k + VD]
+    variance = ph[ALT] + delay * ph[VD] + noise
+    y = z - s[X + ALT] - delay * s[X + VD]
+    opened = _open_reference(s, p, y, variance)
+    if opened < 0.0:
+        return
+    s[P + (N + 1) * ALT] += opened
+    ph[ALT] += opened
+    _row_update(s, p, ph, variance + opened, y, 1.0)
+    _normalise(s, N)
+
+
+@njit(cache=True)
+def _learn_altimeter(s, z, noise):
+    """Learn the white noise from second differences and the resolution from the smallest step."""
+    step = abs(z - s[ALT_LAST])
+    if 0.0 < step < 2.0 and (s[ALT_STEP] == 0.0 or step < s[ALT_STEP]):
+        s[ALT_STEP] = step
+    if s[ALT_COUNT] >= 3.0:
+        second = z - 2.0 * s[ALT_LAST] + s[ALT_BEFORE]
+        capped = min(second * second / 6.0, 9.0 * max(s[ALT_SPREAD], noise))
+        s[ALT_SPREAD] += max(0.02, 1.0 / s[ALT_COUNT]) * (capped - s[ALT_SPREAD])
+
+
+@njit(cache=True)
+def _open_reference(s, p, y, variance):
+    """Variance that the height reference gets for a jump, m^2; -1 when the altitude has to wait."""
+    y2 = y * y
+    if y2 <= p[P_ALT_GATE] * variance:
+        s[ALT_REFUSED] = 0.0
+        s[ALT_PERSISTENCE] += 0.3 * (y / math.sqrt(variance) - s[ALT_PERSISTENCE])
+        if s[ALT_PERSISTENCE] ** 2 > p[P_ALT_STEP_GATE] * 0.3 / 1.7:
+            s[ALT_PERSISTENCE] = 0.0
+            return y2
+        return 0.0
+    s[ALT_REFUSED] += 1.0
+    if s[ALT_REFUSED] < 3.0:
+        return -1.0
+    s[ALT_REFUSED] = 0.0
+    return y2 * y2 / (p[P_ALT_GATE] * variance)
+
+
+# --- the paper's filter -----------------------------------------------------------------------------
+
+
+@njit(cache=True)
+def _transition5(s, r, jv, jh, dt):
+    """Replace the covariance by F times it."""
+    for j in range(P, P + N5):
+        c0, c1, c2, v = s[j], s[j + N5], s[j + 2 * N5], s[j + VD * N5]
+        s[j] = r[0] * c0 + r[1] * c1 + r[2] * c2
+        s[j + N5] = r[3] * c0 + r[4] * c1 + r[5] * c2
+        s[j + 2 * N5] = r[6] * c0 + r[7] * c1 + r[8] * c2
+        s[j + VD * N5] = v + jv[0] * c0 + jv[1] * c1 + jv[2] * c2
+        s[j + ALT * N5] -= dt * v + jh[0] * c0 + jh[1] * c1 + jh[2] * c2
+
+
+@njit(cache=True)
+def row5_predict(s, p, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
+    """Carry the paper's filter over dt (s) of constant rate and force (equations 26 to 31)."""
+    down_rate = p[P_EARTH_RATE_DOWN]
+    wx -= down_rate * s[X]
+    wy -= down_rate * s[X + 1]
+    wz -= down_rate * s[X + 2]
+    r, jv, jh = _motion(dt, wx, wy, wz, fx, fy, fz)
+    c = _carry_mean(s, dt, p[P_GRAVITY], r, jv, jh)
+    for _ in range(2):
+        _transition5(s, r, jv, jh, dt)
+        for i in range(N5):
+            for j in range(i):
+                a, b = P + N5 * i + j, P + N5 * j + i
+                s[a], s[b] = s[b], s[a]
+    _add_multiplicative_noise(s, N5, c, dt * p[P_GYRO_NOISE] ** 2 + gyro_var,
+                              dt * p[P_ACCEL_NOISE] ** 2 + accel_var)
+    return r, c
+
+
+@njit(cache=True)
+def row5_altitude_update(s, p, z, message_var, age):
+    """One altitude z (m, up), valid `age` s before the state; message_var m^2 counts when > 0."""
+    delay = p[P_ALT_DELAY] + age
+    ph = np.empty(N5)
+    for k in range(N5):
+        ph[k] = s[P + N5 * k + ALT] + delay * s[P + N5 * k + VD]
+    noise = message_var if message_var > 0.0 else p[P_ALT_STD] ** 2
+    inv = 1.0 / (ph[ALT] + delay * ph[VD] + noise)
+    y = z - s[X + ALT] - delay * s[X + VD]
+    for i in range(N5):
+        k = inv * ph[i]
+        s[X + i] += k * y
+        for j in range(N5):
+            s[P + N5 * i + j] -= k * ph[j]
+    _normalise(s, N5)
+
+
+# --- a sample, whatever the model -------------------------------------------------------------------
+
+
+@njit(cache=True)
+def _track(s, p, dt, wx, wy, wz, fx, fy, fz):
+    """Follow the sample's low-pass and spread, and how long the body has been at rest."""
+    gain = max(dt / (LOWPASS_TIME + dt), min(1.0, dt / s[ELAPSED]))
+    w = (wx, wy, wz)
+    f = (fx, fy, fz)
+    dw2 = df2 = 0.0
+    turning = False
+    for i in range(3):
+        s[GYRO + i] = w[i]
+        s[ACCEL + i] = f[i]
+        s[GYRO_LP + i] += gain * (w[i] - s[GYRO_LP + i])
+        s[ACCEL_LP + i] += gain * (f[i] - s[ACCEL_LP + i])
+        dw2 += (w[i] - s[GYRO_LP + i]) ** 2
+        df2 += (f[i] - s[ACCEL_LP + i]) ** 2
+        if p[P_MODEL] == 0.0:
+            bias = s[GYRO_LP + i] - s[X + BG + i]
+            turning |= bias * bias > 16.0 * (s[P + (N + 1) * (BG + i)] + p[P_REST_GYRO_STD] ** 2)
+    s[GYRO_SPREAD] += gain * (dw2 - s[GYRO_SPREAD])
+    s[ACCEL_SPREAD] += gain * (df2 - s[ACCEL_SPREAD])
+    norm = math.sqrt(fx * fx + fy * fy + fz * fz)
+    still = (dw2 < REST_GYRO**2 and df2 < REST_ACCEL**2 and not turning
+             and abs(norm - p[P_GRAVITY]) < 0.3 + 3.0 * p[P_ACCEL_BIAS_STD])
+    s[REST] = s[REST] + dt if still else 0.0
+
+
+@njit(cache=True)
+def imu_step(s, p, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, force_known):
+    """One checked sample: the mean over the dt (s) before its stamp; rad/s and m/s^2, FRD."""
+    s[ELAPSED] += dt
+    s[SINCE_ALT] += dt
+    s[SINCE_GRAVITY] += dt
+    usual = s[INTERVAL] if s[INTERVAL] > 0.0 else dt
+    lost = max(dt - 1.5 * usual, 0.0) * (dt - usual)
+    s[INTERVAL] = usual + 0.02 * (min(dt, 2.0 * usual) - usual)
+    if force_known:
+        _track(s, p, dt, wx, wy, wz, fx, fy, fz)
+    gyro_var += lost * s[GYRO_SPREAD] / 3.0
+    accel_var += lost * s[ACCEL_SPREAD]
+    if p[P_MODEL] == 0.0:
+        r, c = row_predict(s, p, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var)
+        _carry_gravity(s, p, dt, r, c, fx, fy, fz, force_known)
+        if s[SINCE_GRAVITY] >= GRAVITY_PERIOD - 0.25 * dt:
+            row_gravity_update(s, p, s[SINCE_GRAVITY])
+            s[SINCE_GRAVITY] = 0.0
+    else:
+        r, c = row5_predict(s, p, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var)
+    _rotate(s, NORTH, 1, r, 1.0)
+    _grow_yaw(s, p, dt)
+    if s[P + (N + 1) * VD if p[P_MODEL] == 0.0 else P + (N5 + 1) * VD] > VD_LOST_STD**2:
+        _forget_vertical(s, p)
+
+
+@njit(cache=True)
+def _grow_yaw(s, p, dt):
+    """Nothing measures the yaw: its spread grows with the bias about the vertical and the noise."""
+    bias_var = 0.0
+    if p[P_MODEL] == 0.0:
+        for i in range(3):
+            for j in range(3):
+                bias_var += s[X + i] * s[X + j] * s[P + N * (BG + i) + BG + j]
+    s[YAW_STD] += dt * math.sqrt(max(bias_var, 0.0))
+    s[YAW_VAR] += dt * p[P_GYRO_NOISE] ** 2
+
+
+@njit(cache=True)
+def _forget_vertical(s, p):
+    """Without an altimeter the vertical channel drifts away: start it anew, uncorrelated."""
+    n = N if p[P_MODEL] == 0.0 else N5
+    for k in range(n):
+        for i in range(VD, ALT + 1):
+            s[P + n * k + i] = 0.0
+            s[P + n * i + k] = 0.0
+    s[X + VD] = 0.0
+    s[P + (n + 1) * VD] = VD_STD**2
+    s[P + (n + 1) * ALT] = ALT_START_STD**2
+    s[ALT_COUNT] = 0.0
+
+
+@njit(cache=True)
+def altitude_step(s, p, z, message_var, age):
+    """One finite altitude; the first one is the height to start from."""
+    n = N if p[P_MODEL] == 0.0 else N5
+    s[ALT_COUNT] += 1.0
+    if s[ALT_COUNT] == 1.0:
+        for k in range(n):
+            s[P + n * k + ALT] = 0.0
+            s[P + n * ALT + k] = 0.0
+        s[P + (n + 1) * ALT] = ALT_START_STD**2
+        s[X + ALT] = z
+    elif n == N:
+        row_altitude_update(s, p, z, message_var, age)
+    else:
+        row5_altitude_update(s, p, z, message_var, age)
+    s[ALT_BEFORE] = s[ALT_LAST]
+    s[ALT_LAST] = z
+    s[SINCE_ALT] = 0.0
+
+
+@njit(cache=True)
+def write_output(s, p, out):
+    """Fill one row of output from the state."""
+    n = N if p[P_MODEL] == 0.0 else N5
+    out[OUT_VALID] = s[ATTITUDE]
+    d0, d1, d2 = s[X], s[X + 1], s[X + 2]
+    norm = math.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+    inv = 1.0 / norm if norm > 0.0 else 0.0
+    d = (d0 * inv, d1 * inv, d2 * inv)
+    a = (s[NORTH], s[NORTH + 1], s[NORTH + 2])
+    along = a[0] * d[0] + a[1] * d[1] + a[2] * d[2]
+    a = (a[0] - along * d[0], a[1] - along * d[1], a[2] - along * d[2])
+    norm = math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+    inv = 1.0 / norm if norm > 0.0 else 0.0
+    a = (a[0] * inv, a[1] * inv, a[2] * inv)
+    e = (d[1] * a[2] - d[2] * a[1], d[2] * a[0] - d[0] * a[2], d[0] * a[1] - d[1] * a[0])
+    _write_quaternion(out, a, e, d)
+    nn = ne = ee = 0.0
+    for i in range(3):
+        for j in range(3):
+            cov = s[P + n * i + j]
+            nn += e[i] * cov * e[j]
+            ne -= a[i] * cov * e[j]
+            ee += a[i] * cov * a[j]
+        out[OUT_DOWN + i] = d[i]
+    out[OUT_TILT_COV] = nn
+    out[OUT_TILT_COV + 1] = ne
+    out[OUT_TILT_COV + 2] = ee
+    out[OUT_YAW_VAR] = s[YAW_STD] ** 2 + s[YAW_VAR]
+    out[OUT_VD] = s[X + VD]
+    out[OUT_ALT] = s[X + ALT]
+    out[OUT_VD_VAR] = s[P + (n + 1) * VD]
+    out[OUT_ALT_VAR] = s[P + (n + 1) * ALT]
+    for i in range(3):
+        bg = s[X + BG + i] if n == N else 0.0
+        ba = s[X + BA + i] if n == N else 0.0
+        out[OUT_BG + i] = bg
+        out[OUT_BA + i] = ba
+        out[OUT_BG_VAR + i] = s[P + (N + 1) * (BG + i)] if n == N else 0.0
+        out[OUT_BA_VAR + i] = s[P + (N + 1) * (BA + i)] if n == N else 0.0
+        out[OUT_GYRO + i] = s[GYRO + i] - bg
+        out[OUT_ACCEL + i] = s[ACCEL + i] - ba
+
+
+@njit(cache=True)
+def _write_quaternion(out, a, e, d):
+    """Quaternion (w first) of the matrix with rows a, e, d, by the largest component (Shepperd)."""
+    trace = a[0] + e[1] + d[2]
+    if trace >= a[0] and trace >= e[1] and trace >= d[2]:
+        w, x, y, z = 1.0 + trace, d[1] - e[2], a[2] - d[0], e[0] - a[1]
+    elif a[0] >= e[1] and a[0] >= d[2]:
+        w, x, y, z = d[1] - e[2], 1.0 + 2.0 * a[0] - trace, e[0] + a[1], a[2] + d[0]
+    elif e[1] >= d[2]:
+        w, x, y, z = a[2] - d[0], e[0] + a[1], 1.0 + 2.0 * e[1] - trace, d[1] + e[2]
+    else:
+        w, x, y, z = e[0] - a[1], a[2] + d[0], d[1] + e[2], 1.0 + 2.0 * d[2] - trace
+    inv = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    if w < 0.0:
+        inv = -inv
+    out[OUT_Q] = inv * w
+    out[OUT_Q + 1] = inv * x
+    out[OUT_Q + 2] = inv * y
+    out[OUT_Q + 3] = inv * z
+
+
+# --- checks and the time buffer ---------------------------------------------------------------------
+
+
+@njit(cache=True)
+def reset(s, p, ints):
+    """Forget everything but the counters."""
+    initialise(s, p)
+    ints[:I_COUNTS] = 0
+
+
+@njit(cache=True)
+def _vector_ok(counts, not_finite, out_of_range, limit, x, y, z):
+    """Check one vector of a sample and count what is wrong with it."""
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        counts[not_finite] += 1
+        return False
+    if max(abs(x), abs(y), abs(z)) > (2.0 - CLIP_SHARE) * limit:
+        counts[out_of_range] += 1
+        return False
+    return True
+
+
+@njit(cache=True)
+def _suspicion(s, p, counts, dt, wx, wy, wz, fx, fy, fz):
+    """Variances (rad^2, m^2/s^2) that a stuck or clipped sample adds."""
+    same = (wx == s[GYRO] and wy == s[GYRO + 1] and wz == s[GYRO + 2]
+            and fx == s[ACCEL] and fy == s[ACCEL + 1] and fz == s[ACCEL + 2])
+    s[STUCK] = s[STUCK] + dt if same else 0.0
+    gyro_var = accel_var = 0.0
+    if s[STUCK] > STUCK_TIME:
+        counts[F_STUCK] += 1
+        gyro_var += dt * STUCK_GYRO_DENSITY**2
+        accel_var += dt * STUCK_ACCEL_DENSITY**2
+    gyro_clipped = max(abs(wx), abs(wy), abs(wz)) > CLIP_SHARE * p[P_GYRO_RANGE]
+    accel_clipped = max(abs(fx), abs(fy), abs(fz)) > CLIP_SHARE * p[P_ACCEL_RANGE]
+    if gyro_clipped or accel_clipped:
+        counts[F_CLIPPED] += 1
+        gyro_var += (dt * CLIP_ERROR * p[P_GYRO_RANGE]) ** 2 if gyro_clipped else 0.0
+        accel_var += (dt * CLIP_ERROR * p[P_ACCEL_RANGE]) ** 2 if accel_clipped else 0.0
+    return gyro_var, accel_var
+
+
+@njit(cache=True)
+def _remember(history, ints, stamp, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, known):
+    """Write a sample into the next row of history and return the row."""
+    head = (ints[I_HEAD] + 1) % HISTORY
+    ints[I_HEAD] = head
+    ints[I_STORED] = min(ints[I_STORED] + 1, HISTORY)
+    ints[I_STAMPS + head] = stamp
+    ints[I_LAST_STAMP] = stamp
+    row = history[head]
+    row[H_DT] = dt
+    row[H_SAMPLE] = wx
+    row[H_SAMPLE + 1] = wy
+    row[H_SAMPLE + 2] = wz
+    row[H_SAMPLE + 3] = fx
+    row[H_SAMPLE + 4] = fy
+    row[H_SAMPLE + 5] = fz
+    row[H_GYRO_VAR] = gyro_var
+    row[H_ACCEL_VAR] = accel_var
+    row[H_KNOWN] = known
+    return row
+
+
+@njit(cache=True)
+def _start(s, p, history, ints, stamp, wx, wy, wz, fx, fy, fz):
+    """Set the clock by the first good sample; altitudes back to one buffer before it count."""
+    s[GYRO], s[GYRO + 1], s[GYRO + 2] = wx, wy, wz
+    s[ACCEL], s[ACCEL + 1], s[ACCEL + 2] = fx, fy, fz
+    s[GYRO_LP:ACCEL_LP] = s[GYRO:ACCEL]
+    s[ACCEL_LP:GYRO_SPREAD] = s[ACCEL:GYRO_LP]
+    before = stamp - np.int64(p[P_ALT_BUFFER] * 1e9) - 1
+    row = _remember(history, ints, before, 0.0, wx, wy, wz, fx, fy, fz, 0.0, 0.0, 1.0)
+    row[:STATE_SIZE] = s
+    ints[I_LAST_STAMP] = stamp
+
+
+@njit(cache=True)
+def push_imu(s, p, history, altitudes, ints, out, stamp, wx, wy, wz, fx, fy, fz):
+    """Take one sample as it comes and fill `out`; return whether there is new output.
+
+    The stamp (ns) must be later than the last one. Altitudes that waited for it are applied.
+    """
+    counts = ints[I_COUNTS:I_STAMPS]
+    gyro_ok = _vector_ok(counts, F_GYRO_NOT_FINITE, F_GYRO_OUT_OF_RANGE, p[P_GYRO_RANGE], wx, wy, wz)
+    force_ok = _vector_ok(counts, F_ACCEL_NOT_FINITE, F_ACCEL_OUT_OF_RANGE, p[P_ACCEL_RANGE], fx, fy, fz)
+    if ints[I_STORED] > 0 and stamp - ints[I_LAST_STAMP] > p[P_GAP_LIMIT] * 1e9:
+        counts[F_RESTARTED] += 1
+        restart(s, p, (stamp - ints[I_LAST_STAMP]) * 1e-9)
+        ints[:I_COUNTS] = 0
+    if ints[I_STORED] == 0:
+        if not (gyro_ok and force_ok):
+            return False
+        _start(s, p, history, ints, stamp, wx, wy, wz, fx, fy, fz)
+    dt = (stamp - ints[I_LAST_STAMP]) * 1e-9
+    gyro_var = accel_var = 0.0
+    if gyro_ok:
+        s[HELD] = 0.0
+    else:
+        if s[HELD] + dt > max(HOLD_TIME, 1.5 * s[INTERVAL]):
+            return False
+        s[HELD] += dt
+        wx, wy, wz = s[GYRO], s[GYRO + 1], s[GYRO + 2]
+        gyro_var = dt * dt * s[GYRO_SPREAD] / 3.0
+    if not force_ok:
+        g = p[P_GRAVITY]
+        fx, fy, fz = -g * s[X], -g * s[X + 1], -g * s[X + 2]
+        accel_var = dt * dt * (s[ACCEL_SPREAD] + UNKNOWN_ACCEL_STD**2)
+    known = gyro_ok and force_ok
+    if known:
+        gyro_var, accel_var = _suspicion(s, p, counts, dt, wx, wy, wz, fx, fy, fz)
+    row = _remember(history, ints, stamp, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var,
+                    1.0 if known else 0.0)
+    _advance(s, p, row, altitudes, ints, stamp)
+    write_output(s, p, out)
+    return True
+
+
+@njit(cache=True)
+def _advance(s, p, row, altitudes, ints, stamp):
+    """Step over one remembered sample, apply the altitudes up to its stamp, take the snapshot."""
+    if row[H_DT] > 0.0:
+        imu_step(s, p, row[H_DT], row[H_SAMPLE], row[H_SAMPLE + 1], row[H_SAMPLE + 2],
+                 row[H_SAMPLE + 3], row[H_SAMPLE + 4], row[H_SAMPLE + 5],
+                 row[H_GYRO_VAR], row[H_ACCEL_VAR], row[H_KNOWN] == 1.0)
+    while ints[I_NEXT] < ints[I_ALTITUDES] and ints[I_ALT_STAMPS + ints[I_NEXT]] <= stamp:
+        k = ints[I_NEXT]
+        age = (stamp - ints[I_ALT_STAMPS + k]) * 1e-9
+        altitude_step(s, p, altitudes[k, 0], altitudes[k, 1], age)
+        ints[I_NEXT] += 1
+    row[:STATE_SIZE] = s
+
+
+@njit(cache=True)
+def push_altitude(s, p, history, altitudes, ints, stamp, z, message_var):
+    """Take one altitude (m, up) at its stamp (ns); return whether it counts.
+
+    One that is ahead of the IMU waits for it; a late one takes the filter back to its stamp and
+    steps over the remembered samples again.
+    """
+    counts = ints[I_COUNTS:I_STAMPS]
+    if not math.isfinite(z):
+        counts[F_ALT_NOT_FINITE] += 1
+        return False
+    if ints[I_STORED] > 0 and stamp > ints[I_LAST_STAMP] + AHEAD_LIMIT:
+        counts[F_ALT_AHEAD] += 1
+        return False
+    place = ints[I_ALTITUDES]
+    while place > 0 and ints[I_ALT_STAMPS + place - 1] > stamp:
+        place -= 1
+    if place > 0 and ints[I_ALT_STAMPS + place - 1] == stamp:
+        counts[F_ALT_DUPLICATE] += 1
+        return False
+    back = _samples_since(ints, stamp)
+    if back == ints[I_STORED] > 0 or ints[I_LAST_STAMP] - stamp > p[P_ALT_BUFFER] * 1e9 and back > 0:
+        counts[F_ALT_LATE] += 1
+        return False
+    _insert_altitude(altitudes, ints, place, stamp, z, message_var)
+    if back > 0:
+        _rewind(s, p, history, altitudes, ints, back)
+    return True
+
+
+@njit(cache=True)
+def _samples_since(ints, stamp):
+    """How many remembered samples are at or after the stamp."""
+    back = 0
+    while back < ints[I_STORED] and ints[I_STAMPS + (ints[I_HEAD] - back) % HISTORY] >= stamp:
+        back += 1
+    return back
+
+
+@njit(cache=True)
+def _insert_altitude(altitudes, ints, place, stamp, z, message_var):
+    """Put an altitude among the remembered ones; a full memory loses its oldest."""
+    if ints[I_ALTITUDES] == ALTITUDES:
+        for k in range(1, ALTITUDES):
+            altitudes[k - 1] = altitudes[k]
+            ints[I_ALT_STAMPS + k - 1] = ints[I_ALT_STAMPS + k]
+        ints[I_ALTITUDES] -= 1
+        ints[I_NEXT] = max(ints[I_NEXT] - 1, 0)
+        place = max(place - 1, 0)
+    for k in range(ints[I_ALTITUDES], place, -1):
+        altitudes[k] = altitudes[k - 1]
+        ints[I_ALT_STAMPS + k] = ints[I_ALT_STAMPS + k - 1]
+    ints[I_ALT_STAMPS + place] = stamp
+    altitudes[place, 0] = z
+    altitudes[place, 1] = message_var
+    ints[I_ALTITUDES] += 1
+
+
+@njit(cache=True)
+def _rewind(s, p, history, altitudes, ints, back):
+    """Go back before the last `back` samples and step over them again."""
+    held, stuck = s[HELD], s[STUCK]
+    origin = (ints[I_HEAD] - back) % HISTORY
+    s[:] = history[origin, :STATE_SIZE]
+    ints[I_NEXT] = 0
+    while ints[I_ALT_STAMPS + ints[I_NEXT]] <= ints[I_STAMPS + origin]:
+        ints[I_NEXT] += 1
+    for k in range(back - 1, -1, -1):
+        at = (ints[I_HEAD] - k) % HISTORY
+        _advance(s, p, history[at], altitudes, ints, ints[I_STAMPS + at])
+    s[HELD], s[STUCK] = held, stuck
+
+
+# --- a recording ------------------------------------------------------------------------------------
+
+
+@njit(cache=True)
+def run(s, p, history, altitudes, ints, stamps, gyro, accel, actions,
+        alt_stamps, alt_values, alt_vars, arrival, out, fresh):
+    """Feed a recording in recorded order; rows of `out` are filled where `fresh` becomes True."""
+    j = 0
+    for k in range(len(stamps)):
+        while j < len(arrival) and arrival[j] <= k:
+            push_altitude(s, p, history, altitudes, ints, alt_stamps[j], alt_values[j], alt_vars[j])
+            j += 1
+        if actions[k] == ACTION_SKIP:
+            continue
+        if actions[k] == ACTION_RESET:
+            reset(s, p, ints)
+        fresh[k] = push_imu(s, p, history, altitudes, ints, out[k], stamps[k],
+                            gyro[k, 0], gyro[k, 1], gyro[k, 2], accel[k, 0], accel[k, 1], accel[k, 2])
+    while j < len(arrival):
+        push_altitude(s, p, history, altitudes, ints, alt_stamps[j], alt_values[j], alt_vars[j])
+        j += 1

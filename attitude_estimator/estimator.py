@@ -1,0 +1,241 @@
+"""The estimator as a program sees it: samples in, attitude with its covariance out.
+
+:class:`AttitudeEstimator` takes one sample at a time (the node) or a whole recording (the offline
+tools and the studies); both run the same compiled kernels and give the same numbers. Altitudes
+count at their stamps, also when they arrive late. Frames and units: :mod:`inertial`.
+"""
+
+from dataclasses import dataclass, make_dataclass
+
+import numpy as np
+
+from attitude_estimator import _kernels as kernels
+from attitude_estimator.params import AttitudeParams
+
+ACTION_USE, ACTION_SKIP, ACTION_RESET = (
+    kernels.ACTION_USE, kernels.ACTION_SKIP, kernels.ACTION_RESET)
+
+FaultCounts = make_dataclass("FaultCounts", [(name, int) for name in kernels.FAULTS])
+FaultCounts.__doc__ = "How often each fault of the input was seen since the estimator was made."
+
+
+class TimeJumpError(ValueError):
+    """A sample is not later than the one before it."""
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Estimates after one sample (leading dimensions dropped) or after each of N samples.
+
+    Attributes
+    ----------
+    stamp_ns : (N,) int64
+    valid : (N,) bool
+        False while there is no attitude yet: only altitude, velocity and biases mean something.
+    q_nb_wxyz : (N, 4)
+        Attitude; its heading is the integrated gyro, zero where the attitude was first known.
+    tilt_covariance_n : (N, 2, 2), rad^2
+        Of the small rotation about the north and east axes of the estimate's own NED frame.
+    yaw_variance : (N,), rad^2
+    down_b : (N, 3)
+    vd, altitude, vd_variance, altitude_variance : (N,), m/s, m and their squares
+    gyro_bias_b, accel_bias_b, gyro_bias_variance, accel_bias_variance : (N, 3), rad/s, m/s^2
+    gyro_b, accel_b : (N, 3), rad/s and m/s^2, the sample with the bias removed
+    """
+
+    stamp_ns: np.ndarray
+    rows: np.ndarray
+
+    def __len__(self):
+        return len(self.rows)
+
+    def _columns(self, start, size):
+        return self.rows[..., start:start + size]
+
+    @property
+    def valid(self):
+        return self.rows[..., kernels.OUT_VALID] > 0
+
+    @property
+    def q_nb_wxyz(self):
+        return self._columns(kernels.OUT_Q, 4)
+
+    @property
+    def tilt_covariance_n(self):
+        nn, ne, ee = np.moveaxis(self._columns(kernels.OUT_TILT_COV, 3), -1, 0)
+        return np.stack([np.stack([nn, ne], -1), np.stack([ne, ee], -1)], -2)
+
+    @property
+    def yaw_variance(self):
+        return self.rows[..., kernels.OUT_YAW_VAR]
+
+    @property
+    def down_b(self):
+        return self._columns(kernels.OUT_DOWN, 3)
+
+    @property
+    def vd(self):
+        return self.rows[..., kernels.OUT_VD]
+
+    @property
+    def altitude(self):
+        return self.rows[..., kernels.OUT_ALT]
+
+    @property
+    def vd_variance(self):
+        return self.rows[..., kernels.OUT_VD_VAR]
+
+    @property
+    def altitude_variance(self):
+        return self.rows[..., kernels.OUT_ALT_VAR]
+
+    @property
+    def gyro_bias_b(self):
+        return self._columns(kernels.OUT_BG, 3)
+
+    @property
+    def accel_bias_b(self):
+        return self._columns(kernels.OUT_BA, 3)
+
+    @property
+    def gyro_bias_variance(self):
+        return self._columns(kernels.OUT_BG_VAR, 3)
+
+    @property
+    def accel_bias_variance(self):
+        return self._columns(kernels.OUT_BA_VAR, 3)
+
+    @property
+    def gyro_b(self):
+        return self._columns(kernels.OUT_GYRO, 3)
+
+    @property
+    def accel_b(self):
+        return self._columns(kernels.OUT_ACCEL, 3)
+
+
+class AttitudeEstimator:
+    """Roll and pitch from one IMU and an altimeter, if there is one.
+
+    Parameters
+    ----------
+    params : AttitudeParams
+    """
+
+    def __init__(self, params=None):
+        self._state = np.zeros(kernels.STATE_SIZE)
+        self._history = np.zeros((kernels.HISTORY, kernels.H_SIZE))
+        self._altitudes = np.zeros((kernels.ALTITUDES, 2))
+        self._ints = np.zeros(kernels.I_SIZE, dtype=np.int64)
+        self._out = np.zeros(kernels.OUT_SIZE)
+        self.params = AttitudeParams() if params is None else params
+        self.reset()
+
+    @property
+    def params(self):
+        """AttitudeParams in use; setting them keeps the state."""
+        return self._params
+
+    @params.setter
+    def params(self, params):
+        self._flat = params.flat(kernels.PARAMETER_NAMES)
+        self._params = params
+
+    def reset(self):
+        """Forget everything but the fault counters, and start blind."""
+        kernels.reset(self._state, self._flat, self._ints)
+
+    def add_imu(self, stamp_ns, gyro_b, accel_b):
+        """Take one IMU sample.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            End of the interval over which the sample is the mean.
+        gyro_b, accel_b : (3,), rad/s and m/s^2, FRD
+            A value that is not finite or out of range is counted and bridged or left out.
+
+        Returns
+        -------
+        bool
+            Whether :attr:`estimate` is new.
+
+        Raises
+        ------
+        TimeJumpError
+            When the stamp is not later than the one before.
+        """
+        last = self._ints[kernels.I_LAST_STAMP]
+        if self._ints[kernels.I_STORED] and stamp_ns <= last:
+            raise TimeJumpError(f"IMU stamp {stamp_ns} ns is not later than {last} ns")
+        return kernels.push_imu(
+            self._state, self._flat, self._history, self._altitudes, self._ints, self._out, stamp_ns,
+            gyro_b[0], gyro_b[1], gyro_b[2], accel_b[0], accel_b[1], accel_b[2])
+
+    def add_altitude(self, stamp_ns, altitude, variance=0.0):
+        """Take one altitude (m, up) at its stamp; variance (m^2) counts when > 0.
+
+        Returns
+        -------
+        bool
+            Whether it counts; if not, :attr:`faults` says why.
+        """
+        return kernels.push_altitude(self._state, self._flat, self._history, self._altitudes,
+                                     self._ints, stamp_ns, altitude, variance)
+
+    @property
+    def estimate(self):
+        """Estimates after the last sample, as a copy."""
+        return Estimates(self._ints[kernels.I_LAST_STAMP], self._out.copy())
+
+    @property
+    def faults(self):
+        """FaultCounts so far."""
+        return FaultCounts(*(int(n) for n in self._ints[kernels.I_COUNTS:kernels.I_STAMPS]))
+
+    def run(self, imu, altitude=None, *, actions=None, altitude_variance=None):
+        """Take a whole recording, or the next part of one, in recorded order.
+
+        Parameters
+        ----------
+        imu : ImuSeries
+        altitude : AltitudeSeries, optional
+        actions : (N,) int, optional
+            ``ACTION_USE``, ``ACTION_SKIP`` or ``ACTION_RESET`` (start anew with this sample).
+        altitude_variance : (M,), m^2, optional
+
+        Returns
+        -------
+        Estimates
+            One for each sample that gave output.
+
+        Raises
+        ------
+        TimeJumpError
+            When a stamp that is to be used is not later than the one before.
+        """
+        actions = np.zeros(len(imu), dtype=np.int64) if actions is None else np.asarray(actions)
+        self._check_stamps(imu.stamp_ns, actions)
+        if altitude is None:
+            stamps = arrival = np.zeros(0, dtype=np.int64)
+            values = variances = np.zeros(0)
+        else:
+            stamps, values, arrival = altitude.stamp_ns, altitude.altitude, altitude.arrival
+            variances = np.zeros(len(values)) if altitude_variance is None else altitude_variance
+        rows = np.zeros((len(imu), kernels.OUT_SIZE))
+        fresh = np.zeros(len(imu), dtype=bool)
+        kernels.run(self._state, self._flat, self._history, self._altitudes, self._ints,
+                    imu.stamp_ns, imu.gyro_b, imu.accel_b, actions,
+                    stamps, values, variances, arrival, rows, fresh)
+        return Estimates(imu.stamp_ns[fresh], rows[fresh])
+
+    def _check_stamps(self, stamp_ns, actions):
+        used = actions != ACTION_SKIP
+        stamps, resets = stamp_ns[used], actions[used] == ACTION_RESET
+        if self._ints[kernels.I_STORED]:
+            stamps = np.concatenate([[self._ints[kernels.I_LAST_STAMP]], stamps])
+            resets = np.concatenate([[True], resets])
+        bad = np.flatnonzero((np.diff(stamps) <= 0) & ~resets[1:])
+        if len(bad):
+            k = bad[0]
+            raise TimeJumpError(f"IMU stamp {stamps[k + 1]} ns is not later than {stamps[k]} ns")

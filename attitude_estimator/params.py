@@ -1,0 +1,115 @@
+"""Parameters of the roll and pitch estimators, in SI, with one set of defaults for every vehicle."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from inertial.earth import EARTH_RATE, STANDARD_GRAVITY, normal_gravity
+from inertial.parameters import check_parameters, parameter
+
+
+ESTIMATORS = ("dcm_row", "dcm_row5")
+
+
+@dataclass(frozen=True)
+class AttitudeParams:
+    """What the estimators assume of sensors, motion and place.
+
+    Raises
+    ------
+    ValueError
+        From the constructor, naming the parameter, its value and its range.
+    """
+
+    estimator: str = parameter(
+        "dcm_row", "", "dcm_row: biases, altitude and gravity; dcm_row5: the paper's linear filter, "
+        "altitude only and no biases", choices=ESTIMATORS, runtime=False)
+    gravity: float = parameter(
+        math.nan, "m/s^2", "local gravity", 9.7, 9.9,
+        nan_means="WGS84 normal gravity at the latitude, or 9.80665 without one")
+    latitude: float = parameter(
+        math.nan, "rad", "geodetic latitude; the vertical Earth rate is then removed from the gyro",
+        -math.pi / 2, math.pi / 2, nan_means="no Earth-rate compensation")
+
+    gyro_noise_density: float = parameter(
+        1e-3, "rad/s/sqrt(Hz)", "white noise of each gyro axis", 0.0, 1.0)
+    gyro_rate_error: float = parameter(
+        0.005, "sqrt(s)", "gyro noise that grows with the rate: scale factor, misalignment", 0.0, 1.0)
+    gyro_bias_std: float = parameter(
+        0.025, "rad/s", "spread of the gyro bias at switch-on; set it to your sensor's", 0.0, 1.0)
+    gyro_bias_walk: float = parameter(
+        5e-5, "rad/s/sqrt(s)", "random walk of the gyro bias", 0.0, 0.1)
+    accel_noise_density: float = parameter(
+        0.01, "m/s^2/sqrt(Hz)", "white noise of each accelerometer axis", 0.0, 10.0)
+    accel_force_error: float = parameter(
+        0.001, "sqrt(s)", "accelerometer noise that grows with the acceleration", 0.0, 1.0)
+    accel_bias_std: float = parameter(
+        0.07, "m/s^2", "spread of the accelerometer bias", 0.0, 5.0)
+    accel_bias_time: float = parameter(
+        300.0, "s", "correlation time of the accelerometer bias", 1.0, 1e6)
+
+    gravity_time: float = parameter(
+        1.7, "s", "time constant of the low-pass that finds gravity; larger trusts the gyro longer",
+        0.05, 60.0)
+    gravity_floor_std: float = parameter(
+        0.1, "m/s^2", "acceleration left in the low-pass in quiet motion", 1e-4, 10.0)
+    gravity_residual_share: float = parameter(
+        0.4, "", "share of the present residual that counts as acceleration", 0.0, 10.0)
+    gravity_decay_time: float = parameter(
+        1.4, "s", "how long a residual is remembered", 0.05, 60.0)
+    gravity_norm_share: float = parameter(
+        1.0, "", "weight of a lasting force above gravity as a sign of acceleration", 0.0, 10.0)
+    gravity_norm_margin: float = parameter(
+        0.3, "m/s^2", "force above gravity that accelerometer errors may explain", 0.0, 5.0)
+    gravity_start_std: float = parameter(
+        6.0, "m/s^2", "distrust of gravity in the first second", 0.0, 50.0)
+    gravity_bias_share: float = parameter(
+        0.3, "", "share of its gain that the accelerometer bias takes from gravity", 0.0, 1.0)
+    rest_gyro_std: float = parameter(
+        0.005, "rad/s", "error of the zero-rate update at rest", 1e-6, 1.0)
+    rest_accel_std: float = parameter(
+        0.045, "m/s^2", "error of gravity at rest", 1e-5, 1.0)
+
+    altitude_std: float = parameter(
+        0.3, "m", "white noise of the altimeter; more is learnt from the data", 1e-3, 100.0)
+    altitude_drift_density: float = parameter(
+        0.045, "m/sqrt(s)", "random walk of the altimeter's zero", 0.0, 10.0)
+    altitude_scale_error: float = parameter(
+        0.05, "sqrt(s)", "altimeter noise that grows with vertical speed", 0.0, 1.0)
+    altitude_delay: float = parameter(
+        0.0, "s", "how much older an altitude is than its stamp", -1.0, 2.0)
+    altitude_gate: float = parameter(
+        6.25, "", "squared normalised innovation above which an altitude must be confirmed", 1.0, 100.0)
+    altitude_step_gate: float = parameter(
+        6.25, "", "squared mean innovation above which the height reference moved", 1.0, 100.0)
+
+    gyro_range: float = parameter(
+        100.0, "rad/s", "full scale of the gyro: beyond it a sample is refused, at it noise grows",
+        0.1, 1e4)
+    accel_range: float = parameter(
+        1000.0, "m/s^2", "full scale of the accelerometer, as gyro_range", 5.0, 1e5)
+    altitude_buffer: float = parameter(
+        0.5, "s", "how late an altitude may arrive and still count at its stamp", 0.0, 5.0, runtime=False)
+    gap_limit: float = parameter(
+        1.0, "s", "longest gap in the IMU that is bridged; after a longer one the attitude starts anew",
+        0.01, 10.0)
+
+    def __post_init__(self):
+        check_parameters(self)
+
+    def local_gravity(self):
+        """Gravity to use, m/s^2."""
+        if not math.isnan(self.gravity):
+            return self.gravity
+        return STANDARD_GRAVITY if math.isnan(self.latitude) else normal_gravity(self.latitude)
+
+    def earth_rate_down(self):
+        """Downward component of the Earth's rotation, rad/s; 0 without a latitude."""
+        return 0.0 if math.isnan(self.latitude) else -EARTH_RATE * math.sin(self.latitude)
+
+    def flat(self, names):
+        """Values of the named parameters as float64, the derived ones included."""
+        derived = {"local_gravity": self.local_gravity(), "earth_rate_down": self.earth_rate_down(),
+                   "model": float(ESTIMATORS.index(self.estimator))}
+        return np.array([derived[n] if n in derived else getattr(self, n) for n in names], dtype=float)
