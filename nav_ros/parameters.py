@@ -154,8 +154,9 @@ def load_parameter_file(path, node_name, known):
         if name.split(".")[0] in _ROS_OWN and name not in known:
             del values[name]
         elif name not in known:
-            near = "".join(f"; did you mean {match}?" for match in difflib.get_close_matches(name, known, 1, 0.0))
-            raise ValueError(f"{path}: unknown parameter {name}{near}")
+            near = difflib.get_close_matches(name, known, 1, 0.0)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise ValueError(f"{path}: unknown parameter {name}{hint}")
     return values
 
 
