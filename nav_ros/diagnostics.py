@@ -117,7 +117,7 @@ class StreamMeter:
         return self._rate(1)
 
     def latency(self, share):
-        """Return the latency in seconds that `share` (0 to 1) of the messages do not exceed, NaN if unknown."""
+        """Return the seconds of latency that `share` (0 to 1) of the messages stay within, NaN if unknown."""
         latencies = sorted(arrival - stamp for stamp, arrival in self._times)
         if not latencies:
             return math.nan
