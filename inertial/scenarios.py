@@ -45,12 +45,17 @@ _VERTICAL_PLANE = [
     (2.5, 50, 25, 0, 0), (3, 42, 0, 0, 0), (3, 50, 0, 0, 0),
 ]
 _AEROBATIC = [
+    # Loop, roll, steep turns.
     (14, 45, 360, 0, 0), (1, 45, 0, 0, 0), (5, 45, 0, 0, 360), (1, 45, 0, 0, 0),
     (3, 45, 0, 25, 0), (10, 45, 0, 25, 0), (5, 45, 0, -25, 0), (5, 45, 0, -25, 0),
-    (3, 45, 0, 0, 0), (4.5, 45, 90, 0, 0), (2.5, 45, 0, 0, 180), (4.5, 45, 90, 0, 0),
-    (3, 45, 0, 0, 180), (4.5, 45, 90, 0, 0), (2.5, 45, 0, 0, 0), (4.5, 45, 90, 0, 0),
-    (3, 45, 0, 0, -180), (2, 45, 0, 0, 0), (3, 45, 0, 0, -180), (3, 45, 40, 0, 0),
-    (6, 45, -80, 20, 0), (3, 45, 40, 0, 0),
+    (3, 45, 0, 0, 0),
+    # Up with a roll and over the top, half a roll to upright, half a roll back, down again.
+    (4, 45, 75, 0, 0), (4, 45, 0, 0, 360), (5, 45, 105, 0, 0), (3, 45, 0, 0, 180),
+    (2, 45, 0, 0, 0), (3, 45, 0, 0, -180), (5, 45, 105, 0, 0), (4, 45, 0, 0, 0),
+    (4, 45, 75, 0, 0), (2, 45, 0, 0, 0),
+    # Climbing and diving turn, a second of inverted flight.
+    (5, 45, 12, 20, 0), (6, 45, -24, 20, 0), (5, 45, 12, 0, 0), (3, 45, 0, 0, 180),
+    (1, 45, 0, 0, 0), (3, 45, 0, 0, -180),
 ]
 # Rows: seconds, velocity north, east, up m/s, turn rate deg/s.
 _LIFT_OFF = [(3, 0, 0, 2, 0), (2, 0, 0, 2, 0), (3, 0, 0, 0, 0)]
@@ -65,8 +70,8 @@ _QUAD = [
 ]
 # Rows: seconds, speed m/s.
 _TRAFFIC = [
-    (10, 14), (8, 14), (5, 6), (6, 6), (6, 12), (10, 12), (5, 0), (4, 0), (7, 9), (6, 9), (3, 0),
-    (3, 0),
+    (10, 14), (8, 14), (5, 6), (6, 6), (6, 12), (10, 12), (5, 0), (4, 0), (7, 9), (6, 9),
+    (3.5, 0), (3, 0),
 ]
 # Rows: metres, curvature 1/m, slope deg.
 _ROAD = [
@@ -135,7 +140,7 @@ SCENARIOS = {
     "aerobatic": Scenario("an aircraft in loops, rolls and steep turns, through pitch +-90 deg",
                           _aircraft(_AEROBATIC, 45, 0.3)),
     "car": Scenario("a car in stop-and-go traffic with bends, hills and hard braking", _car),
-    "quad": Scenario("a multirotor that darts about, tilting up to 35 deg", _multirotor(_QUAD)),
+    "quad": Scenario("a multirotor that darts about, tilting up to 50 deg", _multirotor(_QUAD)),
 }
 
 
