@@ -1,0 +1,31 @@
+# Each target runs in an environment that scripts/run makes: ROS 2 where it is installed, otherwise .venv.
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test bench study bags readme lint clean
+
+help: ## this list
+	@sed -n 's/^\([a-z]*\): ## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
+
+demo: ## replay a bag through attitude_node over DDS, score it, write build/demo/report.html
+	@scripts/run study attitude_demo
+
+test: ## the whole test suite
+	@scripts/run study,test python3 -m pytest $(ARGS)
+
+bench: ## cost of a sample and of a message, beside other filters
+	@scripts/run study,bench python3 -m studies.bench
+
+study: ## rewrite the tables of docs/results
+	@scripts/run study python3 -m studies.recordings
+
+bags: ## rewrite the bundled bags, byte for byte the same
+	@scripts/run study scripts/make_bags bags
+
+readme: ## rewrite the parameter tables of README.md
+	@scripts/run study python3 scripts/write_readme_tables
+
+lint: ## ruff
+	@scripts/run study,test ruff check
+
+clean: ## remove everything that was made, .venv too
+	rm -rf .venv build install log ./*.egg-info .pytest_cache .ruff_cache

@@ -1,0 +1,72 @@
+"""One setup for both ways to install: pip into a virtual environment, and colcon (ament_python)."""
+
+from pathlib import Path
+
+from setuptools import setup
+
+PACKAGE = "attitude_alignment"
+SHARE = f"share/{PACKAGE}"
+
+
+def shared_files(*patterns):
+    """Return (install folder, files) pairs for the files that match, folder by folder."""
+    folders = {}
+    for pattern in patterns:
+        for path in sorted(Path().glob(pattern)):
+            folders.setdefault(f"{SHARE}/{path.parent.as_posix()}", []).append(path.as_posix())
+    return list(folders.items())
+
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Roll and pitch from one IMU and an altimeter that hold in turns, braking and aerobatics.",
+    license="Apache-2.0",
+    maintainer="attitude_alignment maintainers",
+    maintainer_email="maintainers@attitude-alignment.example",
+    packages=["inertial", "attitude_estimator", "nav_ros", "studies"],
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (SHARE, ["package.xml"]),
+        *shared_files("config/*.yaml", "launch/*.launch.py", "bags/*/metadata.yaml", "bags/*/*.mcap"),
+    ],
+    zip_safe=True,
+    python_requires=">=3.10",
+    install_requires=["numpy>=1.26,<3", "numba", "pyyaml", "rosbags>=0.10"],
+    extras_require={
+        # rclpy, the messages and a middleware as wheels; a machine with ROS 2 has its own.
+        "ros": [
+            f"{wheel}; sys_platform == 'linux' and platform_machine == 'x86_64'"
+            for wheel in ("ros-jazzy-rclpy", "ros-jazzy-common-interfaces", "ros-jazzy-rmw-fastrtps-cpp")
+        ],
+        "study": ["matplotlib", "scipy"],
+        "test": [
+            "catkin-pkg",
+            "colcon-core",
+            "colcon-library-path",
+            "colcon-metadata",
+            "colcon-notification",
+            "colcon-output",
+            "colcon-package-information",
+            "colcon-package-selection",
+            "colcon-python-setup-py",
+            "colcon-recursive-crawl",
+            "colcon-ros",
+            "pytest",
+            "ruff",
+            "setuptools<80",
+        ],
+        "bench": ["ahrs", "imufusion", "vqf"],
+    },
+    entry_points={
+        "console_scripts": [
+            "attitude_node = attitude_estimator.node:main",
+            "replay_node = nav_ros.replay_node:main",
+            "estimate_bag = attitude_estimator.cli:main",
+            "simulate_bag = nav_ros.cli:simulate_bag_main",
+            "score_bag = nav_ros.cli:score_bag_main",
+            "attitude_demo = nav_ros.demo:main",
+            "study_recordings = studies.recordings:main",
+        ],
+    },
+)
