@@ -359,13 +359,13 @@ def _normalise(s, n):
 
 @njit(cache=True)
 def _level_north(s):
-    """Keep the yaw's zero level; when an attitude is first known it lies ahead."""
+    """Keep the yaw's zero level; where an attitude is first known the nose points east (REP-103)."""
     if s[ATTITUDE] == 0.0:
         s[ATTITUDE] = 1.0
-        ahead = abs(s[X]) < 0.99
-        s[NORTH] = 1.0 if ahead else 0.0
-        s[NORTH + 1] = 0.0
-        s[NORTH + 2] = 0.0 if ahead else 1.0
+        steep = abs(s[X]) > 0.99
+        s[NORTH] = -s[X + 1] if steep else 0.0
+        s[NORTH + 1] = s[X] if steep else -s[X + 2]
+        s[NORTH + 2] = 0.0 if steep else s[X + 1]
     along = s[X] * s[NORTH] + s[X + 1] * s[NORTH + 1] + s[X + 2] * s[NORTH + 2]
     norm2 = 0.0
     for i in range(3):

@@ -6,6 +6,7 @@ count at their stamps, also when they arrive late. Frames and units: :mod:`inert
 """
 
 from dataclasses import dataclass, make_dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class Estimates:
     valid : (N,) bool
         False while there is no attitude yet: only altitude, velocity and biases mean something.
     q_nb_wxyz : (N, 4)
-        Attitude; its heading is the integrated gyro, zero where the attitude was first known.
+        Attitude; its heading is the integrated gyro, east where the attitude was first known.
     tilt_covariance_n : (N, 2, 2), rad^2
         Of the small rotation about the north and east axes of the estimate's own NED frame.
     yaw_variance : (N,), rad^2
@@ -42,6 +43,8 @@ class Estimates:
     gyro_bias_b, accel_bias_b, gyro_bias_variance, accel_bias_variance : (N, 3), rad/s, m/s^2
     gyro_b, accel_b : (N, 3), rad/s and m/s^2, the sample with the bias removed
     """
+
+    ROW_SIZE: ClassVar[int] = kernels.OUT_SIZE
 
     stamp_ns: np.ndarray
     rows: np.ndarray
@@ -54,7 +57,7 @@ class Estimates:
 
     @property
     def valid(self):
-        return self.rows[..., kernels.OUT_VALID] > 0
+        return self.rows[..., kernels.OUT_VALID] > 0.0
 
     @property
     def q_nb_wxyz(self):
@@ -187,6 +190,27 @@ class AttitudeEstimator:
     def estimate(self):
         """Estimates after the last sample, as a copy."""
         return Estimates(self._ints[kernels.I_LAST_STAMP], self._out.copy())
+
+    @property
+    def free_fall(self):
+        """Whether the low-passed force is too small to show where down is."""
+        return bool(self._state[kernels.FREE_FALL])
+
+    @property
+    def waiting_for(self):
+        """What an attitude is missing while there is none."""
+        if self._ints[kernels.I_STORED] == 0:
+            return "a first good IMU sample"
+        if self.free_fall:
+            return "a force of the size of gravity"
+        return "gravity or altitude to settle the direction of down"
+
+    def warm_up(self):
+        """Run each kernel of the streaming path once, so that it is compiled; then start anew."""
+        for k in range(4):
+            self.add_altitude(1 + k * 40_000_000, 0.0)
+            self.add_imu(1 + k * 40_000_000, np.zeros(3), np.array([0.0, 0.0, -9.8]))
+        self.reset()
 
     @property
     def faults(self):

@@ -1,0 +1,166 @@
+"""What the node and the offline tool share at the ROS edge: parameters, stamps, message contents.
+
+The values of every message are linear in one row of estimates, except the roll, pitch and yaw. They are
+written once, for many rows, and become a matrix that serves one row or many.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from attitude_estimator.estimator import ACTION_RESET, ACTION_SKIP, ACTION_USE, Estimates
+from attitude_estimator.params import AttitudeParams
+from inertial.parameters import parameter
+from inertial.rotation import (
+    dcm_from_quaternion,
+    dcm_nb_from_euler,
+    euler_from_dcm,
+    quaternion_conjugate,
+    quaternion_from_dcm,
+    quaternion_multiply,
+)
+from nav_ros.frames import (
+    orientation_from_q_nb,
+    rpy_from_euler,
+    swap_enu_ned_covariance,
+    swap_flu_frd,
+    swap_flu_frd_covariance,
+)
+from nav_ros.messages import (
+    ACCEL,
+    ACCEL_COVARIANCE,
+    DOUBLES,
+    GYRO,
+    GYRO_COVARIANCE,
+    IMU,
+    ODOMETRY,
+    ORIENTATION,
+    ORIENTATION_COVARIANCE,
+    POSE_COVARIANCE,
+    POSE_ORIENTATION,
+    POSE_POSITION,
+    TWIST_COVARIANCE,
+    TWIST_LINEAR,
+    VECTOR,
+)
+from nav_ros.time_gate import StampCode, TimeGateParams
+
+UNKNOWN_VARIANCE = 1e6
+"""Variance of what is not estimated, in the unit of its entry."""
+
+OUTPUT_TYPES = {"imu/data": IMU, "imu/rpy/filtered": VECTOR, "attitude/state": ODOMETRY,
+                "imu/gyro_bias": VECTOR, "imu/accel_bias": VECTOR}
+"""What the node publishes, and the offline tool writes, for every sample."""
+
+
+@dataclass(frozen=True)
+class AttitudeNodeParams(AttitudeParams, TimeGateParams):
+    """Parameters of ``attitude_node`` and ``estimate_bag``: the estimator's, the time gate's and the edge's."""
+
+    altitude_source: str = parameter(
+        "auto", "", "which altimeter to use; auto takes the one that is there",
+        choices=("auto", "altitude", "pressure", "none"), runtime=False)
+    world_frame: str = parameter("odom", "", "frame_id of attitude/state and parent of the transform",
+                                 runtime=False)
+    base_frame: str = parameter(
+        "", "", "frame of the vehicle, used where mounting_rpy turns the IMU's axes; empty: the IMU's frame_id",
+        runtime=False)
+    mounting_rpy: tuple = parameter(
+        (0.0, 0.0, 0.0), "rad", "roll, pitch, yaw (REP-103) of the IMU in the vehicle; ~/level sets it",
+        -2 * np.pi, 2 * np.pi)
+    publish_tf: bool = parameter(
+        False, "", "broadcast world_frame to base_frame; needs tf2_ros", runtime=False)
+
+
+def stamp_actions(codes):
+    """Return the estimator's action for each :class:`~nav_ros.time_gate.StampCode`."""
+    return np.select([codes >= StampCode.DUPLICATE, codes == StampCode.JUMP_BACK],
+                     [ACTION_SKIP, ACTION_RESET], ACTION_USE)
+
+
+class OutputMessages:
+    """Contents of the messages that are made of an estimate.
+
+    Parameters
+    ----------
+    mounting_rpy : (3,), rad
+        Of the IMU in the vehicle, FLU.
+    """
+
+    def __init__(self, mounting_rpy):
+        roll, pitch, yaw = mounting_rpy
+        # FLU roll, pitch, yaw are those of FRD with pitch and yaw reversed.
+        self._dcm_base_imu = dcm_nb_from_euler(roll, -pitch, -yaw)
+        self._q_imu_base = quaternion_conjugate(quaternion_from_dcm(self._dcm_base_imu))
+        basis = Estimates(None, np.eye(Estimates.ROW_SIZE))
+        self._matrix = {"imu/data": self._imu(basis), "attitude/state": self._state(basis),
+                        "imu/gyro_bias": swap_flu_frd(basis.gyro_bias_b),
+                        "imu/accel_bias": swap_flu_frd(basis.accel_bias_b)}
+        self._state_offset = self._unknown()
+
+    def values(self, topic, estimates):
+        """Return the doubles of the message on a topic of :data:`OUTPUT_TYPES`, (..., D)."""
+        if topic == "imu/rpy/filtered":
+            return self.rpy(estimates)
+        values = estimates.rows @ self._matrix[topic]
+        if topic == "attitude/state":
+            values += self._state_offset
+        elif topic == "imu/data" and not np.all(estimates.valid):
+            unknown = ~np.atleast_1d(estimates.valid)
+            table = values.reshape(-1, DOUBLES[IMU])
+            table[unknown, ORIENTATION] = [0.0, 0.0, 0.0, 1.0]
+            table[unknown, ORIENTATION_COVARIANCE] = [-1.0] + [0.0] * 8
+        return values
+
+    def rpy(self, estimates):
+        """Return roll, pitch, yaw of the vehicle, FLU in ENU, (..., 3), rad."""
+        q_nb = quaternion_multiply(estimates.q_nb_wxyz, self._q_imu_base)
+        return rpy_from_euler(*euler_from_dcm(dcm_from_quaternion(q_nb)))
+
+    def level(self, estimate):
+        """Return the mounting_rpy that makes the vehicle level now and keeps its yaw."""
+        q_nb = quaternion_multiply(estimate.q_nb_wxyz, self._q_imu_base)
+        _, _, heading = euler_from_dcm(dcm_from_quaternion(q_nb))
+        level_nb = dcm_nb_from_euler(0.0, 0.0, heading)
+        roll, pitch, yaw = euler_from_dcm(level_nb.T @ dcm_from_quaternion(estimate.q_nb_wxyz))
+        return float(roll), float(-pitch), float(-yaw)
+
+    def _imu(self, estimates):
+        values = np.zeros((len(estimates), DOUBLES[IMU]))
+        values[:, ORIENTATION] = orientation_from_q_nb(
+            quaternion_multiply(estimates.q_nb_wxyz, self._q_imu_base))
+        covariance = np.zeros((len(estimates), 3, 3))
+        covariance[:, :2, :2] = estimates.tilt_covariance_n
+        covariance[:, 2, 2] = estimates.yaw_variance
+        values[:, ORIENTATION_COVARIANCE] = swap_enu_ned_covariance(covariance).reshape(-1, 9)
+        values[:, GYRO] = self._vehicle(estimates.gyro_b)
+        values[:, GYRO_COVARIANCE] = self._vehicle_variance(estimates.gyro_bias_variance)
+        values[:, ACCEL] = self._vehicle(estimates.accel_b)
+        values[:, ACCEL_COVARIANCE] = self._vehicle_variance(estimates.accel_bias_variance)
+        return values
+
+    def _vehicle(self, vector_imu):
+        return swap_flu_frd(vector_imu @ self._dcm_base_imu.T)
+
+    def _vehicle_variance(self, variance_imu):
+        dcm = self._dcm_base_imu
+        covariance = np.einsum("ij,nj,kj->nik", dcm, variance_imu, dcm)
+        return swap_flu_frd_covariance(covariance).reshape(-1, 9)
+
+    def _state(self, estimates):
+        """Altitude and vertical velocity, linear in the row; what is constant is in `_unknown`."""
+        values = np.zeros((len(estimates), DOUBLES[ODOMETRY]))
+        values[:, POSE_POSITION.start + 2] = estimates.altitude
+        values[:, POSE_COVARIANCE.start + 14] = estimates.altitude_variance
+        values[:, TWIST_LINEAR.start + 2] = -estimates.vd
+        values[:, TWIST_COVARIANCE.start + 14] = estimates.vd_variance
+        return values
+
+    @staticmethod
+    def _unknown():
+        values = np.zeros(DOUBLES[ODOMETRY])
+        values[POSE_ORIENTATION.start + 3] = 1.0
+        for covariance in (POSE_COVARIANCE, TWIST_COVARIANCE):
+            for axis in (0, 1, 3, 4, 5):
+                values[covariance.start + 7 * axis] = UNKNOWN_VARIANCE
+        return values
