@@ -32,14 +32,14 @@ setup(
     ],
     zip_safe=True,
     python_requires=">=3.10",
-    install_requires=["numpy>=1.26,<3", "numba", "pyyaml", "rosbags>=0.10"],
+    install_requires=["apsw", "lz4", "numba", "numpy>=1.26,<3", "rosbags>=0.11", "ruamel.yaml", "tqdm"],
     extras_require={
         # rclpy, the messages and a middleware as wheels; a machine with ROS 2 has its own.
         "ros": [
             f"{wheel}; sys_platform == 'linux' and platform_machine == 'x86_64'"
             for wheel in ("ros-jazzy-rclpy", "ros-jazzy-common-interfaces", "ros-jazzy-rmw-fastrtps-cpp")
         ],
-        "study": ["matplotlib", "scipy"],
+        "study": ["matplotlib"],
         "test": [
             "catkin-pkg",
             "colcon-core",
@@ -54,6 +54,7 @@ setup(
             "colcon-ros",
             "pytest",
             "ruff",
+            "scipy",
             "setuptools<80",
         ],
         "bench": ["ahrs", "imufusion", "vqf"],
