@@ -5,6 +5,7 @@ used, so that one seed gives the same noise whichever errors are switched on. :d
 named sensors. Frames and units: :mod:`inertial`.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -195,8 +196,8 @@ PROFILES = {
         "consumer MEMS after a factory calibration: between the data sheets of Bosch BMI160 and "
         "TDK ICM-20948, and a barometer such as Bosch BMP388",
         ImuErrors(
-            gyro_noise_density=2e-4, gyro_bias_std=np.radians(0.5).item(),
-            gyro_drift_std=np.radians(0.02).item(), gyro_walk_density=1e-6,
+            gyro_noise_density=2e-4, gyro_bias_std=math.radians(0.5),
+            gyro_drift_std=math.radians(0.02), gyro_walk_density=1e-6,
             gyro_scale_std=3e-3, gyro_misalignment_std=2e-3, gyro_resolution=1.065e-3,
             gyro_range=34.9, accel_noise_density=2e-3, accel_bias_std=0.05,
             accel_drift_std=0.01, accel_walk_density=1e-5, accel_scale_std=2e-3,
@@ -205,7 +206,7 @@ PROFILES = {
                         resolution=0.02)),
     "paper": SensorProfile(
         "the paper's sensors: white noise of 0.5 deg/s, 0.1 m/s^2 and 2 m per sample at 100 Hz",
-        ImuErrors(gyro_noise_density=np.radians(0.5).item() * _PAPER_INTERVAL ** 0.5,
+        ImuErrors(gyro_noise_density=math.radians(0.5) * _PAPER_INTERVAL ** 0.5,
                   accel_noise_density=0.1 * _PAPER_INTERVAL ** 0.5),
         AltimeterErrors(noise_std=2.0)),
 }
