@@ -55,7 +55,7 @@ OUTPUT_TYPES = {"imu/data": IMU, "imu/rpy/filtered": VECTOR, "attitude/state": O
 
 @dataclass(frozen=True)
 class AttitudeNodeParams(AttitudeParams, TimeGateParams):
-    """Parameters of ``attitude_node`` and ``estimate_bag``: the estimator's, the time gate's and the edge's."""
+    """Parameters of ``attitude_node`` and ``estimate_bag``: of the estimator, the time gate and the edge."""
 
     altitude_source: str = parameter(
         "auto", "", "which altimeter to use; auto takes the one that is there",
@@ -63,13 +63,26 @@ class AttitudeNodeParams(AttitudeParams, TimeGateParams):
     world_frame: str = parameter("odom", "", "frame_id of attitude/state and parent of the transform",
                                  runtime=False)
     base_frame: str = parameter(
-        "", "", "frame of the vehicle, used where mounting_rpy turns the IMU's axes; empty: the IMU's frame_id",
+        "", "", "frame of the vehicle, where mounting_rpy turns the IMU's axes; empty: the IMU's frame_id",
         runtime=False)
     mounting_rpy: tuple = parameter(
         (0.0, 0.0, 0.0), "rad", "roll, pitch, yaw (REP-103) of the IMU in the vehicle; ~/level sets it",
         -2 * np.pi, 2 * np.pi)
+    auxiliary_rate: float = parameter(
+        50.0, "Hz", "highest rate of all output but imu/data; 0: with every sample", 0.0, 1e4)
     publish_tf: bool = parameter(
         False, "", "broadcast world_frame to base_frame; needs tf2_ros", runtime=False)
+
+    def auxiliary_slot(self, stamp_ns):
+        """Return a number (or one for each stamp) whose every change lets auxiliary output through."""
+        return stamp_ns if self.auxiliary_rate == 0.0 else stamp_ns // round(1e9 / self.auxiliary_rate)
+
+    def frames(self, topic, imu_frame):
+        """Return the frame_id, and for an Odometry the child_frame_id, of a topic of OUTPUT_TYPES."""
+        base = self.base_frame or imu_frame
+        if topic == "attitude/state":
+            return self.world_frame, f"{base}_stabilized"
+        return (base if topic in ("imu/data", "imu/rpy/filtered") else imu_frame,)
 
 
 def stamp_actions(codes):

@@ -217,7 +217,7 @@ class AttitudeEstimator:
         """FaultCounts so far."""
         return FaultCounts(*(int(n) for n in self._ints[kernels.I_COUNTS:kernels.I_STAMPS]))
 
-    def run(self, imu, altitude=None, *, actions=None, altitude_variance=None):
+    def run(self, imu, altitude=None, altitude_variance=None, *, actions=None):
         """Take a whole recording, or the next part of one, in recorded order.
 
         Parameters
@@ -230,8 +230,10 @@ class AttitudeEstimator:
 
         Returns
         -------
-        Estimates
+        estimates : Estimates
             One for each sample that gave output.
+        fresh : (N,) bool
+            Which samples did.
 
         Raises
         ------
@@ -251,7 +253,7 @@ class AttitudeEstimator:
         kernels.run(self._state, self._flat, self._history, self._altitudes, self._ints,
                     imu.stamp_ns, imu.gyro_b, imu.accel_b, actions,
                     stamps, values, variances, arrival, rows, fresh)
-        return Estimates(imu.stamp_ns[fresh], rows[fresh])
+        return Estimates(imu.stamp_ns[fresh], rows[fresh]), fresh
 
     def _check_stamps(self, stamp_ns, actions):
         used = actions != ACTION_SKIP

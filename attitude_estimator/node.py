@@ -71,6 +71,7 @@ class AttitudeNode(Node):
         self._altitude_meter = StreamMeter()
         self._frame = None
         self._encoders = {}
+        self._slot = None
         self._use_altitude = True
         self._altimeters = {}
         self._watches = 0
@@ -113,7 +114,8 @@ class AttitudeNode(Node):
             self._subscribers[topic] = info.current_count
         return self.create_publisher(
             MESSAGE_TYPES[topic], topic, OUTPUT_QOS,
-            event_callbacks=PublisherEventCallbacks(matched=matched, incompatible_qos=self._on_bad_qos(topic)),
+            event_callbacks=PublisherEventCallbacks(matched=matched,
+                                                    incompatible_qos=self._on_bad_qos(topic)),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def _subscribe(self, message_type, topic, callback):
@@ -201,8 +203,10 @@ class AttitudeNode(Node):
         estimate = self._estimator.estimate
         if frame_id != self._frame:
             self._set_frame(frame_id)
+        slot = self._params.auxiliary_slot(stamp_ns)
+        auxiliary, self._slot = slot != self._slot, slot
         for topic, publisher in self._outputs.items():
-            if topic != "imu/data" and not self._subscribers[topic]:
+            if topic != "imu/data" and not (auxiliary and self._subscribers[topic]):
                 continue
             if topic == "imu/rpy/filtered" and not estimate.valid:
                 continue
@@ -212,15 +216,9 @@ class AttitudeNode(Node):
             self._send_transform(stamp_ns, estimate)
 
     def _set_frame(self, frame_id):
-        base = self._params.base_frame or frame_id
         self._frame = frame_id
-        for topic, message_type in OUTPUT_TYPES.items():
-            if topic == "attitude/state":
-                self._encoders[topic] = StampedEncoder(message_type, self._params.world_frame,
-                                                       f"{base}_stabilized")
-            else:
-                vehicle = topic in ("imu/data", "imu/rpy/filtered")
-                self._encoders[topic] = StampedEncoder(message_type, base if vehicle else frame_id)
+        self._encoders = {topic: StampedEncoder(message_type, *self._params.frames(topic, frame_id))
+                          for topic, message_type in OUTPUT_TYPES.items()}
 
     def _send_transform(self, stamp_ns, estimate):
         transform = TransformStamped()
@@ -345,7 +343,7 @@ class AttitudeNode(Node):
                                                 "accel_out_of_range"))
         if refused:
             level = Level.ERROR if refused > ERROR_SHARE * samples else Level.WARN
-            report.fault(level, f"{refused} of {samples} IMU samples refused in part: not finite or out of range")
+            report.fault(level, f"{refused} of {samples} IMU samples not finite or out of range")
         if faults["stuck"]:
             level = Level.ERROR if faults["stuck"] > STUCK_ERROR_SAMPLES else Level.WARN
             report.fault(level, "the IMU repeats one sample: stuck?")

@@ -8,7 +8,6 @@ import numpy as np
 from inertial.earth import EARTH_RATE, STANDARD_GRAVITY, normal_gravity
 from inertial.parameters import check_parameters, parameter
 
-
 ESTIMATORS = ("dcm_row", "dcm_row5")
 
 

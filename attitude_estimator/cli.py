@@ -1,0 +1,228 @@
+"""estimate_bag: the attitude of a recorded bag, by the same kernels as the node, without DDS.
+
+Messages are taken in recorded order through the node's own time gate and time buffer, so the output bag has
+what ``attitude_node`` would have published. Parts of a recording are decoded, estimated and encoded at once.
+"""
+
+import argparse
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from attitude_estimator.edge import OUTPUT_TYPES, AttitudeNodeParams, OutputMessages, stamp_actions
+from attitude_estimator.estimator import AttitudeEstimator
+from inertial.recording import AltitudeSeries, ImuSeries
+from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
+from nav_ros.bags import TYPES, BagError, BagReader, BagWriter, choose_altitude
+from nav_ros.cli import add_topic_option, one_line_errors, progress, topics_of
+from nav_ros.frames import swap_flu_frd
+from nav_ros.messages import (
+    ACCEL,
+    GYRO,
+    IMU,
+    StampedEncoder,
+    decode_batch,
+)
+from nav_ros.parameters import load_parameter_file, parameter_names, params_from_values
+from nav_ros.time_gate import StampCode, classify_stamps, gate_state
+
+PART = 20_000  # messages that are estimated at once; more only takes memory
+
+
+class BagEstimator:
+    """Turns the messages of one bag into those that the node publishes.
+
+    Parameters
+    ----------
+    params : AttitudeNodeParams
+    imu_topic, altimeter_topic : str or None
+    altimeter_type : str or None
+    """
+
+    def __init__(self, params, imu_topic, altimeter_topic, altimeter_type):
+        self._params = params
+        self._estimator = AttitudeEstimator(params)
+        self._gate = gate_state()
+        self._messages = OutputMessages(params.mounting_rpy)
+        self._imu_topic, self._altimeter_topic = imu_topic, altimeter_topic
+        self._altimeter_type = altimeter_type
+        self._source = AltitudeSource(altimeter_type) if altimeter_type else None
+        self._encoders = {}
+        self._slot = -1
+        self.counts = Counter()
+
+    def estimate(self, part):
+        """Return what follows from a list of (topic, receive_ns, raw), as such a list."""
+        imu = [message for message in part if message.topic == self._imu_topic]
+        batch = decode_batch(IMU, [message.raw for message in imu])
+        self.counts["malformed"] += len(batch.malformed)
+        codes, stamps = classify_stamps(batch.stamp_ns, self._params, self._gate)
+        for code in StampCode:
+            if code not in (StampCode.STEP, StampCode.FIRST):
+                self.counts[code.name.lower()] += int(np.sum(codes == code))
+        series = ImuSeries(stamps, swap_flu_frd(batch.values[:, GYRO]), swap_flu_frd(batch.values[:, ACCEL]))
+        estimates, fresh = self._estimator.run(series, *self._altitudes(part, batch.index),
+                                               actions=stamp_actions(codes))
+        self.counts["samples"] += len(estimates)
+        receive_ns = np.array([message.receive_ns for message in imu], np.int64)[batch.index][fresh]
+        frames = np.array(batch.frame_id)[fresh]
+        return self._encode(estimates, receive_ns, frames)
+
+    @property
+    def faults(self):
+        """Name -> count of everything that was refused or bridged."""
+        counts = {name: count for name, count in self.counts.items() if name != "samples"}
+        return {name: count for name, count in (counts | vars(self._estimator.faults)).items() if count}
+
+    def _altitudes(self, part, imu_index):
+        """Return the altitudes of a part and their variances; arrival counts decoded IMU messages."""
+        stamps, values, variances, arrival = [], [], [], []
+        received = 0
+        raws, places = [], []
+        for message in part:
+            if message.topic == self._imu_topic:
+                received += 1
+            elif message.topic == self._altimeter_topic:
+                raws.append(message.raw)
+                places.append(received)
+        if not raws:
+            return None, None
+        batch = decode_batch(self._altimeter_type, raws)
+        self.counts["malformed"] += len(batch.malformed)
+        before = np.searchsorted(imu_index, places)
+        for place, stamp_ns, fields in zip(batch.index, batch.stamp_ns, batch.values, strict=True):
+            try:
+                altitude, variance = self._source.convert(fields)
+            except AltitudeRefusedError as error:
+                self.counts[error.fault] += 1
+                continue
+            stamps.append(stamp_ns)
+            values.append(altitude)
+            variances.append(variance)
+            arrival.append(before[place])
+        series = AltitudeSeries(np.array(stamps, np.int64), np.array(values, float),
+                                np.array(arrival, np.int64))
+        return series, np.array(variances, float)
+
+    def _encode(self, estimates, receive_ns, frames):
+        out = []
+        slots = self._params.auxiliary_slot(estimates.stamp_ns)
+        auxiliary = np.diff(slots, prepend=self._slot) != 0
+        self._slot = slots[-1] if len(slots) else self._slot
+        for topic in OUTPUT_TYPES:
+            values = self._messages.values(topic, estimates)
+            keep = np.ones(len(estimates), bool) if topic == "imu/data" else auxiliary
+            if topic == "imu/rpy/filtered":
+                keep = keep & estimates.valid
+            for frame in np.unique(frames):
+                rows = np.flatnonzero(keep & (frames == frame))
+                raws = self._encoder(topic, str(frame)).encode_batch(estimates.stamp_ns[rows], values[rows])
+                out += zip([f"/{topic}"] * len(rows), receive_ns[rows].tolist(), raws, strict=True)
+        return out
+
+    def _encoder(self, topic, frame):
+        key = topic, frame
+        if key not in self._encoders:
+            self._encoders[key] = StampedEncoder(OUTPUT_TYPES[topic], *self._params.frames(topic, frame))
+        return self._encoders[key]
+
+
+def estimate_bag(path, out, params, topics, storage="mcap"):
+    """Write the estimates of one bag into another, with a copy of the truth.
+
+    Parameters
+    ----------
+    path, out : path-like
+    params : AttitudeNodeParams
+    topics : dict
+        Key -> topic, see :data:`nav_ros.bags.TOPICS`.
+    storage : {"mcap", "sqlite3"}
+
+    Returns
+    -------
+    BagEstimator
+        With its counts.
+
+    Raises
+    ------
+    nav_ros.bags.BagError
+    """
+    with BagReader(path) as bag:
+        bag.require(topics["imu"], TYPES["imu"])
+        altimeter = choose_altitude(bag.types, topics, params.altitude_source)
+        truth = topics["truth"] if topics["truth"] in bag.types else None
+        wanted = [topics["imu"], *([topics[altimeter]] if altimeter else []), *([truth] if truth else [])]
+        estimator = BagEstimator(params, topics["imu"], topics.get(altimeter), TYPES.get(altimeter))
+        types = {f"/{topic}": kind for topic, kind in OUTPUT_TYPES.items()}
+        types |= {truth: bag.types[truth]} if truth else {}
+        with BagWriter(out, types, storage) as writer:
+            part = []
+            for message in progress(bag.messages(wanted), bag.name):
+                part.append(message)
+                if len(part) >= PART:
+                    _write(writer, estimator, part, truth)
+                    part = []
+            _write(writer, estimator, part, truth)
+    if not estimator.counts["samples"]:
+        raise BagError(f"{path}: no usable IMU sample on {topics['imu']}")
+    return estimator
+
+
+def _write(writer, estimator, part, truth):
+    out = estimator.estimate(part) if part else []
+    out += [message for message in part if message.topic == truth]
+    for topic, receive_ns, raw in sorted(out, key=lambda message: message[1]):
+        writer.write(topic, receive_ns, raw)
+
+
+def main(arguments=None):
+    """Run ``estimate_bag``."""
+    options = _parser().parse_args(arguments)
+    with one_line_errors("estimate_bag"):
+        *bags, out = options.bags
+        if not bags:
+            raise ValueError("needs at least one bag and the folder to write")
+        params = _parameters(options)
+        several = len(bags) > 1
+        for bag in bags:
+            began = time.perf_counter()
+            target = Path(out) / Path(bag).stem if several else Path(out)
+            estimator = estimate_bag(bag, target, params, topics_of(options), options.storage)
+            took = time.perf_counter() - began
+            faults = ", ".join(f"{name} {count}" for name, count in estimator.faults.items())
+            print(f"{target}: {estimator.counts['samples']} estimates in {took:.1f} s; "
+                  f"{faults or 'nothing refused'}")
+
+
+def _parameters(options):
+    names = parameter_names(AttitudeNodeParams)
+    values = load_parameter_file(options.params, "attitude_node", names) if options.params else {}
+    for text in options.set:
+        name, separator, value = text.partition(":=")
+        if not separator or name not in names:
+            raise ValueError(f"-p {text}: expected NAME:=VALUE with NAME a parameter of attitude_node")
+        values[name] = parse_value(value)
+    return params_from_values(AttitudeNodeParams, values)
+
+
+def parse_value(text):
+    """Return a parameter value as ROS reads it from a command line."""
+    from ruamel.yaml import YAML
+    return YAML(typ="safe").load(text)
+
+
+def _parser():
+    parser = argparse.ArgumentParser(
+        prog="estimate_bag",
+        description="Write the bag that attitude_node would make of a recording: /imu/data, "
+        "/imu/rpy/filtered, /attitude/state, the biases, and a copy of the truth.")
+    parser.add_argument("bags", nargs="+", metavar="IN... OUT",
+                        help="bags to read, and the folder to make; of several bags it holds one bag each")
+    parser.add_argument("--params", metavar="FILE", help="ROS 2 parameter file of attitude_node")
+    parser.add_argument("-p", "--param", action="append", default=[], metavar="NAME:=VALUE", dest="set",
+                        help="one parameter, as after --ros-args")
+    parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="default %(default)s")
+    add_topic_option(parser, ("imu", "altitude", "pressure", "truth"))
+    return parser
