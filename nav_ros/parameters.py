@@ -228,7 +228,7 @@ def _text(value):
     if isinstance(value, tuple):
         return f"[{', '.join(_text(element) for element in value)}]"
     if isinstance(value, str):
-        return f'"{value}"' if not value else value
+        return value or '""'
     return "nan" if isinstance(value, float) and math.isnan(value) else f"{value:g}"
 
 

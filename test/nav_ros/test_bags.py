@@ -246,10 +246,9 @@ def test_malformed_and_refused_messages_are_counted(tmp_path):
 
 
 def test_what_was_written_before_an_exception_can_be_read(tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        with BagWriter(tmp_path / "run", {"/imu/data_raw": IMU}) as writer:
-            writer.write("/imu/data_raw", 5, StampedEncoder(IMU, "imu").encode(5, np.zeros(37)))
-            raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt), BagWriter(tmp_path / "run", {"/imu/data_raw": IMU}) as writer:
+        writer.write("/imu/data_raw", 5, StampedEncoder(IMU, "imu").encode(5, np.zeros(37)))
+        raise KeyboardInterrupt
     assert len(list(read_messages(tmp_path / "run"))) == 1
 
 

@@ -1,0 +1,248 @@
+"""replay_node as a real process on a real DDS domain, heard by a node in this one."""
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed")
+
+import rclpy  # noqa: E402
+from geometry_msgs.msg import PointStamped, QuaternionStamped  # noqa: E402
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import Imu  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+from nav_ros.bags import read_messages  # noqa: E402
+from nav_ros.cli import simulate_bag_main  # noqa: E402
+
+DOMAIN_ID = 41 + os.getpid() % 60
+LIMIT = 20.0
+"""Seconds after which something has gone wrong."""
+SECONDS = 2.0
+"""Length of the bag: 400 IMU samples at 200 Hz."""
+PACE_SLACK = 0.3
+"""Seconds that a busy machine may take longer than the schedule."""
+SENSOR_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+TOPICS = {"imu/data_raw": Imu, "altitude": PointStamped, "ground_truth/attitude": QuaternionStamped}
+
+
+class Listener:
+    """A node that keeps the raw messages of some topics and may answer the IMU's."""
+
+    def __init__(self, types, answers=None):
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=DOMAIN_ID)
+        self.node = rclpy.create_node("listener", context=self.context)
+        self.heard = {topic: [] for topic in types}
+        self.answers = answers and self.node.create_publisher(Imu, answers, 200)
+        for topic, kind in types.items():
+            self.node.create_subscription(kind, topic, lambda raw, t=topic: self._hear(t, raw), SENSOR_QOS,
+                                          raw=True)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.thread = threading.Thread(target=self._spin)
+        self.thread.start()
+
+    def _hear(self, topic, raw):
+        self.heard[topic].append(raw)
+        if self.answers and topic == "imu/data_raw":
+            self.answers.publish(raw)
+
+    def _spin(self):
+        with contextlib.suppress(ExternalShutdownException):
+            self.executor.spin()
+
+    def call(self, service):
+        client = self.node.create_client(Trigger, service)
+        assert client.wait_for_service(LIMIT)
+        future = client.call_async(Trigger.Request())
+        wait_until(future.done)
+        return future.result()
+
+    def close(self):
+        self.executor.shutdown()
+        self.thread.join()
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self.context)
+
+
+def wait_until(condition):
+    end = time.monotonic() + LIMIT
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.005)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    path = tmp_path_factory.mktemp("bags") / "run"
+    simulate_bag_main(["hover", str(path), "--duration", str(SECONDS), "--rest", "1"])
+    return path
+
+
+@pytest.fixture
+def listen():
+    listeners = []
+
+    def make(*arguments, **named):
+        listeners.append(Listener(*arguments, **named))
+        return listeners[-1]
+
+    yield make
+    for listener in listeners:
+        listener.close()
+
+
+@pytest.fixture
+def replay():
+    children = []
+
+    def start(*parameters, arguments=()):
+        environment = {name: value for name, value in os.environ.items() if name != "RMW_IMPLEMENTATION"}
+        environment["ROS_DOMAIN_ID"] = str(DOMAIN_ID)
+        given = [item for parameter in parameters for item in ("-p", parameter)]
+        children.append(subprocess.Popen(
+            [sys.executable, "-m", "nav_ros.replay_node", "--ros-args", *given, *arguments], env=environment,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True))
+        return children[-1]
+
+    yield start
+    for child in children:
+        if child.poll() is None:
+            child.kill()
+        child.communicate()
+
+
+def finish(child):
+    """Return exit status and output."""
+    output, _ = child.communicate(timeout=LIMIT)
+    return child.returncode, output
+
+
+def recorded(bag, topic):
+    return [message.raw for message in read_messages(bag, [topic])]
+
+
+def test_every_message_arrives_as_recorded_and_on_time(bag, listen, replay):
+    listener = listen(TOPICS)
+    status, output = finish(replay(f"bag:={bag}"))
+    assert status == 0, output
+    for topic, heard in listener.heard.items():
+        assert heard == recorded(bag, f"/{topic}")
+    seconds = float(re.search(r"in ([\d.]+) s: ", output)[1])
+    assert SECONDS - 0.1 < seconds < SECONDS + PACE_SLACK
+
+
+def test_in_lock_step_nothing_is_lost_however_fast(bag, listen, replay):
+    listener = listen(TOPICS, answers="imu/data")
+    status, output = finish(replay(f"bag:={bag}", "rate:=0.0", "lockstep_topic:=imu/data", "in_flight:=3"))
+    assert status == 0 and "not answered" not in output, output
+    for topic, heard in listener.heard.items():
+        assert heard == recorded(bag, f"/{topic}")
+
+
+def test_without_an_answer_lock_step_goes_on_and_tells(bag, listen, replay):
+    listener = listen(TOPICS)
+    status, output = finish(replay(f"bag:={bag}", "rate:=0.0", "lockstep_topic:=imu/data", "in_flight:=150",
+                                   "lockstep_timeout:=0.2"))
+    assert status == 0, output
+    assert "400 IMU messages were not answered on imu/data" in output
+    assert len(listener.heard["imu/data_raw"]) == 400
+
+
+def test_names_can_be_put_in_a_namespace_and_remapped(bag, listen, replay):
+    listener = listen({"/plane/my_imu": Imu, "/plane/altitude": PointStamped})
+    status, output = finish(replay(f"bag:={bag}", "rate:=4.0", arguments=[
+        "-r", "__ns:=/plane", "-r", "imu/data_raw:=my_imu"]))
+    assert status == 0, output
+    assert listener.heard["/plane/my_imu"] == recorded(bag, "/imu/data_raw")
+    assert listener.heard["/plane/altitude"] == recorded(bag, "/altitude")
+
+
+def test_it_stays_paused_until_it_is_started_and_can_be_stopped(bag, listen, replay):
+    listener = listen(TOPICS)
+    child = replay(f"bag:={bag}", "start_paused:=true")
+    heard = listener.heard["imu/data_raw"]
+    assert listener.call("/replay_node/stop").success
+    assert not heard
+    assert listener.call("/replay_node/start").message == "replaying"
+    wait_until(lambda: len(heard) > 20)
+    assert listener.call("/replay_node/stop").message == "paused"
+    wait_until(lambda: len(heard) == _after_a_while(heard))
+    assert len(heard) < 400
+    listener.call("/replay_node/start")
+    assert finish(child)[0] == 0
+    assert heard == recorded(bag, "/imu/data_raw")
+
+
+def _after_a_while(heard):
+    time.sleep(0.1)
+    return len(heard)
+
+
+def test_a_scenario_is_simulated_with_clock_and_pressure(listen, replay):
+    from sensor_msgs.msg import FluidPressure
+    listener = listen({"imu/data_raw": Imu, "pressure": FluidPressure, "/clock": Clock})
+    status, output = finish(replay("scenario:=turn", "duration:=2.0", "imu_rate:=100.0", "pressure:=true",
+                                   "publish_clock:=true", "rate:=4.0"))
+    assert status == 0, output
+    assert len(listener.heard["imu/data_raw"]) == 200
+    assert len(listener.heard["pressure"]) == pytest.approx(40, abs=1)
+    clocks = [int.from_bytes(raw[4:8], "little") * 10**9 + int.from_bytes(raw[8:12], "little")
+              for raw in listener.heard["/clock"]]
+    assert clocks == sorted(set(clocks))
+    assert len(clocks) == pytest.approx(200, abs=2)
+
+
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("parameters", [["rate:=0.0", "loop:=true"], ["start_paused:=true"]])
+def test_signals_end_it_with_status_0(bag, listen, replay, signal_number, parameters):
+    listener = listen({"imu/data_raw": Imu})
+    child = replay(f"bag:={bag}", *parameters)
+    if "loop:=true" in parameters:
+        wait_until(lambda: len(listener.heard["imu/data_raw"]) > 400)
+    else:
+        assert listener.call("/replay_node/stop").success
+    child.send_signal(signal_number)
+    status, output = finish(child)
+    assert status == 0 and "Traceback" not in output, output
+
+
+def test_while_waiting_a_signal_ends_it_with_status_0(bag, listen, replay):
+    listener = listen({})
+    child = replay(f"bag:={bag}")
+    assert listener.call("/replay_node/stop").success
+    child.send_signal(signal.SIGTERM)
+    assert finish(child)[0] == 0
+
+
+@pytest.mark.parametrize("parameters, status, reason", [
+    ([], 2, "give either bag:=FOLDER or scenario:=NAME"),
+    (["bag:=/none"], 2, "/none: there is no such file or folder"),
+    (["scenario:=turn", "rate:=-1.0"], 2, "rate = -1.0: must be from 0.0 to 1000.0"),
+    (["scenario:=dive"], 2, "unknown scenario 'dive'"),
+    (["scenario:=turn", "duration:=2.0", "wait_timeout:=0.2"], 1, "0 of 1 subscribers on /imu/data_raw")])
+def test_what_cannot_be_replayed_is_told_in_one_line(replay, parameters, status, reason):
+    got, output = finish(replay(*parameters))
+    assert got == status and reason in output
+    assert len(output.strip().splitlines()) == 1
+
+
+def test_an_interrupted_recording_is_replayed_up_to_the_break(bag, tmp_path, listen, replay):
+    (file,) = bag.glob("*.mcap")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(file.read_bytes()[:-500])
+    listener = listen(TOPICS)
+    status, output = finish(replay(f"bag:={cut}", "rate:=4.0"))
+    assert status == 0 and "up to the break" in output, output
+    heard = listener.heard["imu/data_raw"]
+    assert len(heard) > 300 and heard == recorded(bag, "/imu/data_raw")[:len(heard)]
