@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from attitude_estimator.edge import OUTPUT_TYPES, AttitudeNodeParams, OutputMessages, stamp_actions
-from attitude_estimator.estimator import AttitudeEstimator
+from attitude_estimator.estimator import AttitudeEstimator, Estimates
 from inertial.recording import AltitudeSeries, ImuSeries
 from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
 from nav_ros.bags import TYPES, BagError, BagReader, BagWriter, choose_altitude
@@ -112,13 +112,14 @@ class BagEstimator:
         auxiliary = np.diff(slots, prepend=self._slot) != 0
         self._slot = slots[-1] if len(slots) else self._slot
         for topic in OUTPUT_TYPES:
-            values = self._messages.values(topic, estimates)
             keep = np.ones(len(estimates), bool) if topic == "imu/data" else auxiliary
             if topic == "imu/rpy/filtered":
                 keep = keep & estimates.valid
             for frame in np.unique(frames):
                 rows = np.flatnonzero(keep & (frames == frame))
-                raws = self._encoder(topic, str(frame)).encode_batch(estimates.stamp_ns[rows], values[rows])
+                part = Estimates(estimates.stamp_ns[rows], estimates.rows[rows])
+                raws = self._encoder(topic, str(frame)).encode_batch(part.stamp_ns,
+                                                                     self._messages.values(topic, part))
                 out += zip([f"/{topic}"] * len(rows), receive_ns[rows].tolist(), raws, strict=True)
         return out
 
@@ -155,8 +156,8 @@ def estimate_bag(path, out, params, topics, storage="mcap"):
         truth = topics["truth"] if topics["truth"] in bag.types else None
         wanted = [topics["imu"], *([topics[altimeter]] if altimeter else []), *([truth] if truth else [])]
         estimator = BagEstimator(params, topics["imu"], topics.get(altimeter), TYPES.get(altimeter))
-        types = {f"/{topic}": kind for topic, kind in OUTPUT_TYPES.items()}
-        types |= {truth: bag.types[truth]} if truth else {}
+        types = {"/imu/data": IMU} | ({truth: bag.types[truth]} if truth else {})
+        types |= {f"/{topic}": kind for topic, kind in OUTPUT_TYPES.items()}
         with BagWriter(out, types, storage) as writer:
             part = []
             for message in progress(bag.messages(wanted), bag.name):

@@ -69,7 +69,7 @@ class AttitudeNodeParams(AttitudeParams, TimeGateParams):
         (0.0, 0.0, 0.0), "rad", "roll, pitch, yaw (REP-103) of the IMU in the vehicle; ~/level sets it",
         -2 * np.pi, 2 * np.pi)
     auxiliary_rate: float = parameter(
-        50.0, "Hz", "highest rate of all output but imu/data; 0: with every sample", 0.0, 1e4)
+        20.0, "Hz", "highest rate of all output but imu/data; 0: with every sample", 0.0, 1e4)
     publish_tf: bool = parameter(
         False, "", "broadcast world_frame to base_frame; needs tf2_ros", runtime=False)
 

