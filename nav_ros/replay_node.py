@@ -25,10 +25,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
-from inertial.imu_errors import PROFILES
 from inertial.parameters import check_parameters, parameter
 from inertial.recording import AltitudeSeries, AttitudeSeries, ImuSeries, Recording
-from inertial.simulator import simulate
 from nav_ros.bags import TOPICS, BagError, BagReader
 from nav_ros.messages import IMU, encode_clock
 from nav_ros.parameters import declare_parameters
@@ -54,8 +52,7 @@ class ReplayParams:
     seed: int = parameter(0, "", "Of the simulated noise", 0, 2**31 - 1, runtime=False)
     imu_rate: float = parameter(200.0, "Hz", "Of the simulated IMU", 1.0, 2000.0, runtime=False)
     altimeter_rate: float = parameter(20.0, "Hz", "Of the simulated altimeter", 0.1, 1000.0, runtime=False)
-    errors: str = parameter("consumer", "", "Quality of the simulated sensors", choices=tuple(PROFILES),
-                            runtime=False)
+    errors: str = parameter("consumer", "", "Name of the simulated sensors' errors", runtime=False)
     pressure: bool = parameter(False, "", "Simulate a barometer on pressure in place of altitude",
                                runtime=False)
     rate: float = parameter(1.0, "", "Speed against real time; 0 is as fast as possible", 0.0, 1000.0,
@@ -218,6 +215,8 @@ class ReplayNode(Node):
         if params.bag:
             with BagReader(params.bag) as bag:
                 return dict(bag.types), self._read_bag
+        # Compiled code, which a bag's replay should not wait for.
+        from inertial.simulator import simulate
         recording = simulate(params.scenario, duration=params.duration, imu_rate=params.imu_rate,
                              altimeter_rate=params.altimeter_rate, profile=params.errors, seed=params.seed)
         if not params.publish_clock:

@@ -204,37 +204,38 @@ def test_a_scenario_is_simulated_with_clock_and_pressure(listen, replay):
 
 
 @pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("parameters", [["rate:=0.0", "loop:=true"], ["start_paused:=true"]])
-def test_signals_end_it_with_status_0(bag, listen, replay, signal_number, parameters):
+def test_signals_end_it_with_status_0(bag, listen, replay, signal_number):
     listener = listen({"imu/data_raw": Imu})
-    child = replay(f"bag:={bag}", *parameters)
-    if "loop:=true" in parameters:
-        wait_until(lambda: len(listener.heard["imu/data_raw"]) > 400)
-    else:
-        assert listener.call("/replay_node/stop").success
+    child = replay(f"bag:={bag}", "rate:=0.0", "loop:=true")
+    wait_until(lambda: len(listener.heard["imu/data_raw"]) > 400)
     child.send_signal(signal_number)
     status, output = finish(child)
     assert status == 0 and "Traceback" not in output, output
 
 
-def test_while_waiting_a_signal_ends_it_with_status_0(bag, listen, replay):
-    listener = listen({})
-    child = replay(f"bag:={bag}")
-    assert listener.call("/replay_node/stop").success
-    child.send_signal(signal.SIGTERM)
-    assert finish(child)[0] == 0
+def test_signals_end_it_while_it_waits_or_is_paused(bag, listen, replay):
+    listener = listen({"heard/imu/data_raw": Imu})
+    waiting = replay(f"bag:={bag}", arguments=["-r", "__node:=waiting"])
+    paused = replay(f"bag:={bag}", "start_paused:=true",
+                    arguments=["-r", "__node:=paused", "-r", "__ns:=/heard"])
+    assert listener.call("/waiting/stop").success and listener.call("/heard/paused/stop").success
+    waiting.send_signal(signal.SIGTERM)
+    paused.send_signal(signal.SIGINT)
+    assert finish(waiting)[0] == 0 and finish(paused)[0] == 0
 
 
-@pytest.mark.parametrize("parameters, status, reason", [
-    ([], 2, "give either bag:=FOLDER or scenario:=NAME"),
-    (["bag:=/none"], 2, "/none: there is no such file or folder"),
-    (["scenario:=turn", "rate:=-1.0"], 2, "rate = -1.0: must be from 0.0 to 1000.0"),
-    (["scenario:=dive"], 2, "unknown scenario 'dive'"),
-    (["scenario:=turn", "duration:=2.0", "wait_timeout:=0.2"], 1, "0 of 1 subscribers on /imu/data_raw")])
-def test_what_cannot_be_replayed_is_told_in_one_line(replay, parameters, status, reason):
-    got, output = finish(replay(*parameters))
-    assert got == status and reason in output
-    assert len(output.strip().splitlines()) == 1
+def test_what_cannot_be_replayed_is_told_in_one_line(replay):
+    expected = [
+        ([], 2, "give either bag:=FOLDER or scenario:=NAME"),
+        (["bag:=/none"], 2, "/none: there is no such file or folder"),
+        (["scenario:=turn", "rate:=-1.0"], 2, "rate = -1.0: must be from 0.0 to 1000.0"),
+        (["scenario:=dive"], 2, "unknown scenario 'dive'"),
+        (["scenario:=turn", "duration:=2.0", "wait_timeout:=0.2"], 1, "0 of 1 subscribers on /imu/data_raw")]
+    children = [replay(*parameters) for parameters, _, _ in expected]
+    for child, (_, status, reason) in zip(children, expected, strict=True):
+        got, output = finish(child)
+        assert got == status and reason in output
+        assert len(output.strip().splitlines()) == 1
 
 
 def test_an_interrupted_recording_is_replayed_up_to_the_break(bag, tmp_path, listen, replay):
