@@ -67,8 +67,8 @@ class BagEstimator:
                                                actions=stamp_actions(codes))
         self.counts["samples"] += len(estimates)
         receive_ns = np.array([message.receive_ns for message in imu], np.int64)[batch.index][fresh]
-        frames = np.array(batch.frame_id)[fresh]
-        return self._encode(estimates, receive_ns, frames)
+        frame_ids = [batch.frame_id[k] for k in np.flatnonzero(fresh)]
+        return self._encode(estimates, receive_ns, frame_ids)
 
     @property
     def faults(self):
@@ -106,8 +106,10 @@ class BagEstimator:
                                 np.array(arrival, np.int64))
         return series, np.array(variances, float)
 
-    def _encode(self, estimates, receive_ns, frames):
+    def _encode(self, estimates, receive_ns, frame_ids):
         out = []
+        names = sorted(set(frame_ids))
+        frames = np.array([names.index(frame) for frame in frame_ids])
         slots = self._params.auxiliary_slot(estimates.stamp_ns)
         auxiliary = np.diff(slots, prepend=self._slot) != 0
         self._slot = slots[-1] if len(slots) else self._slot
@@ -115,10 +117,10 @@ class BagEstimator:
             keep = np.ones(len(estimates), bool) if topic == "imu/data" else auxiliary
             if topic == "imu/rpy/filtered":
                 keep = keep & estimates.valid
-            for frame in np.unique(frames):
+            for frame, name in enumerate(names):
                 rows = np.flatnonzero(keep & (frames == frame))
                 part = Estimates(estimates.stamp_ns[rows], estimates.rows[rows])
-                raws = self._encoder(topic, str(frame)).encode_batch(part.stamp_ns,
+                raws = self._encoder(topic, name).encode_batch(part.stamp_ns,
                                                                      self._messages.values(topic, part))
                 out += zip([f"/{topic}"] * len(rows), receive_ns[rows].tolist(), raws, strict=True)
         return out
