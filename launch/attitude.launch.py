@@ -8,16 +8,20 @@ from launch_ros.substitutions import FindPackageShare
 
 
 def generate_launch_description():
-    default_params = PathJoinSubstitution([FindPackageShare("attitude_alignment"), "config", "attitude.yaml"])
+    package = FindPackageShare("attitude_alignment")
+    default_params = PathJoinSubstitution([package, "config", "attitude.yaml"])
     return LaunchDescription([
-        DeclareLaunchArgument("params_file", default_value=default_params, description="parameters of the node"),
+        DeclareLaunchArgument("params_file", default_value=default_params, description="the node's parameters"),
         DeclareLaunchArgument("namespace", default_value="", description="put before every topic"),
         DeclareLaunchArgument("use_sim_time", default_value="false", description="take the time from /clock"),
         Node(
             package="attitude_alignment",
             executable="attitude_node",
             namespace=LaunchConfiguration("namespace"),
-            parameters=[LaunchConfiguration("params_file"), {"use_sim_time": LaunchConfiguration("use_sim_time")}],
+            parameters=[
+                LaunchConfiguration("params_file"),
+                {"use_sim_time": LaunchConfiguration("use_sim_time")},
+            ],
             output="screen",
         ),
     ])

@@ -1,9 +1,10 @@
-"""Where the files that come with the package are: bundled bags, parameter files.
+"""Where what comes with the package is: bundled bags, parameter files, executables.
 
 A checkout (or an editable install of one) has them beside the packages, an installation in its
 ``share/attitude_alignment`` folder: the virtual environment's, or colcon's by way of the ament index.
 """
 
+import sys
 import sysconfig
 from importlib import resources
 from pathlib import Path
@@ -48,6 +49,23 @@ def bundled_config(name):
     return _bundled("config", name, "parameter file")
 
 
+def executable(name):
+    """Return the path of one of the package's executables, for starting it as a process.
+
+    Raises
+    ------
+    FileNotFoundError
+        Naming every folder that was searched.
+    """
+    # A virtual environment has them beside its Python, colcon in lib beside share.
+    folders = [Path(sys.executable).parent, *(folder.parents[1] / "lib" / PACKAGE
+                                              for folder in _candidate_folders()[1:])]
+    for folder in folders:
+        if (folder / name).is_file():
+            return folder / name
+    raise FileNotFoundError(f"{name} is in none of {', '.join(map(str, folders))}: is {PACKAGE} installed?")
+
+
 def _bundled(folder_name, name, kind):
     folder = share_folder() / folder_name
     names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
@@ -60,11 +78,8 @@ def _candidate_folders():
     checkout = Path(str(resources.files("nav_ros"))).parent
     folders = [checkout, Path(sysconfig.get_path("data")) / "share" / PACKAGE]
     try:
-        from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-    except ImportError:
-        return folders
-    try:
+        from ament_index_python.packages import get_package_share_directory
         folders.append(Path(get_package_share_directory(PACKAGE)))
-    except (PackageNotFoundError, LookupError):
+    except (ImportError, LookupError, OSError):  # no ament, not in its index, no AMENT_PREFIX_PATH
         pass
     return folders

@@ -135,12 +135,13 @@ def no_state_in_modules(path, tree):
     for node in ast.walk(tree):
         if isinstance(node, ast.Global):
             yield node.lineno, f"global {', '.join(node.names)}"
+        changed = None
         if isinstance(node, ast.Subscript) and not isinstance(node.ctx, ast.Load):
-            if getattr(node.value, "id", "") in mutable:
-                yield node.lineno, f"{node.value.id} of the module is changed"
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
-            if node.func.attr in MUTATORS and getattr(node.func.value, "id", "") in mutable:
-                yield node.lineno, f"{node.func.value.id} of the module is changed"
+            changed = node.value
+        elif isinstance(node, ast.Call) and getattr(node.func, "attr", "") in MUTATORS:
+            changed = node.func.value
+        if getattr(changed, "id", "") in mutable:
+            yield node.lineno, f"{changed.id} of the module is changed"
 
 
 def _makes_mutable(value):
@@ -190,7 +191,7 @@ SOUND = [
     ("attitude_estimator/node.py", "import time\nimport rclpy\nfrom nav_ros.frames import swap_flu_frd"),
     ("nav_ros/demo.py", "import sys\ndef draw():\n    import matplotlib\ndef main():\n    sys.exit(1)"),
     ("nav_ros/replay_node.py", "try:\n    f()\nexcept Exception:\n    raise"),
-    ("nav_ros/bags.py", "TOPICS = {'imu': '/imu'}\ndef f(x):\n    own = dict(TOPICS)\n    own[x] = TOPICS[x]"),
+    ("nav_ros/bags.py", "TOPICS = {'imu': '/imu'}\ndef f(x):\n    own = dict(TOPICS)\n    own[x] = 1"),
 ]
 
 

@@ -1,0 +1,278 @@
+"""attitude_demo: the whole product once round, scored against the truth.
+
+``replay_node`` plays a bundled bag and ``attitude_node`` estimates, each a process of its own, over DDS. This
+process listens, compares with the truth in the bag, prints a table and writes ``report.html`` and
+``attitude.png``. Exit status 1 when a figure is outside its stated bound or a process dies.
+"""
+
+import argparse
+import contextlib
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu
+
+from inertial.scoring import score_attitude
+from nav_ros.bags import TOPICS, read_recording
+from nav_ros.frames import q_nb_from_orientation, swap_enu_ned_covariance
+from nav_ros.messages import IMU, ORIENTATION, ORIENTATION_COVARIANCE, decode_batch
+from nav_ros.report import AttitudeRun, Figure, text_table, write_report
+from nav_ros.resources import bundled_bag, executable
+
+SIGMA_RATIO = (0.7, 1.2)  # tilt RMS over what the filter predicts: below is timid, above is overconfident
+COVERAGE = (0.98, 1.0)
+RATE = 2.0  # times real time: 400 Hz of a 200 Hz bag
+PATIENCE = 180.0  # s for the start, which may have kernels to compile
+QUIET = 1.0  # s without a message after the end of the replay
+FAREWELL = 5.0  # s for a process to end after SIGINT
+QUEUE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class DemoError(Exception):
+    """Raised when the demo cannot come to an end, with what its user should read."""
+
+
+class Process:
+    """One of the package's executables, with what it says kept in a file."""
+
+    def __init__(self, name, folder, arguments=()):
+        self.name = name
+        self._log = folder / f"{name}.log"
+        with self._log.open("w") as log:
+            self._popen = subprocess.Popen([str(executable(name)), *arguments], stdin=subprocess.DEVNULL,
+                                           stdout=log, stderr=subprocess.STDOUT)
+
+    @property
+    def said(self):
+        """What the process has printed."""
+        return self._log.read_text(errors="replace").strip()
+
+    @property
+    def status(self):
+        """Exit status, None while it runs."""
+        return self._popen.poll()
+
+    def check(self):
+        """Raise DemoError if the process has failed."""
+        if self.status:
+            raise DemoError(f"{self.name} ended with status {self.status}:\n{self.said or '(no word)'}")
+
+    def cpu_time(self):
+        """Return the seconds of processor time that the process has used."""
+        # The name, which may contain blanks, stands in parentheses; user and system time are fields 14, 15.
+        fields = Path(f"/proc/{self._popen.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def end(self):
+        """End the process as Ctrl-C does, by force if that takes too long."""
+        if self.status is None:
+            self._popen.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._popen.wait(FAREWELL)
+        if self.status is None:
+            self._popen.kill()
+            self._popen.wait()
+
+
+class Listener:
+    """Keeps every IMU message in and every attitude out, with the time at which each was seen."""
+
+    def __init__(self, node):
+        self.sent_at, self.received_at, self.attitudes = {}, {}, []
+        # Made first, so that of two waiting messages the input is seen before its answer.
+        node.create_subscription(Imu, "imu/data_raw", self._on_input, QUEUE, raw=True)
+        node.create_subscription(Imu, "imu/data", self._on_output, QUEUE, raw=True)
+
+    def _on_input(self, raw):
+        self.sent_at[raw[4:12]] = time.monotonic()
+
+    def _on_output(self, raw):
+        self.received_at[raw[4:12]] = time.monotonic()
+        self.attitudes.append(raw)
+
+    def latency(self):
+        """Return the seconds from each input to its answer, (N,)."""
+        return np.array([at - self.sent_at[stamp] for stamp, at in self.received_at.items()
+                         if stamp in self.sent_at])
+
+
+class Progress:
+    """One line that renews itself on a terminal, and a plain line for each text elsewhere."""
+
+    def __init__(self, stream):
+        self._stream, self._live, self._text = stream, stream.isatty(), None
+
+    def tell(self, text, share=None):
+        """Show what is going on, with a bar for a share of it."""
+        if self._live:
+            bar = "" if share is None else f" [{'#' * round(30 * share):30}] {share:4.0%}"
+            print(f"\r\x1b[K{text}{bar}", end="", file=self._stream, flush=True)
+        elif text != self._text:
+            print(text, file=self._stream, flush=True)
+        self._text = text
+
+    def close(self):
+        """Leave a clean line."""
+        if self._live and self._text:
+            print("\r\x1b[K", end="", file=self._stream, flush=True)
+
+
+def free_domain():
+    """Return a ROS domain in which nobody seems to be, by the UDP port its first participant takes."""
+    for domain in random.sample(range(1, 101), 100):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7410 + 250 * domain))
+            except OSError:
+                continue
+            return domain
+    raise DemoError("every ROS domain from 1 to 100 is in use")
+
+
+def replay_and_listen(bag, expected, rate, folder, progress):
+    """Run the processes until the bag is over.
+
+    Returns
+    -------
+    listener : Listener
+    cpu_per_message : float, s, of attitude_node
+    """
+    with contextlib.ExitStack() as cleanup:
+        rclpy.init()
+        cleanup.callback(rclpy.try_shutdown)
+        node = rclpy.create_node("attitude_demo")
+        cleanup.callback(node.destroy_node)
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        listener = Listener(node)
+        attitude = Process("attitude_node", folder)
+        cleanup.callback(attitude.end)
+        # Two subscribers, this process and attitude_node, which listens once its kernels are compiled.
+        replay = Process("replay_node", folder, ["--ros-args", "-p", f"bag:={bag}", "-p", f"rate:={rate}",
+                                                 "-p", "wait_for_subscribers:=2"])
+        cleanup.callback(replay.end)
+
+        progress.tell("waiting for attitude_node (its first start compiles the kernels, about a minute)")
+        _listen(executor, [attitude, replay], lambda: listener.attitudes, PATIENCE, "no attitude")
+        cpu_start, count_start = attitude.cpu_time(), len(listener.attitudes)
+        while replay.status is None:
+            share = len(listener.attitudes) / expected
+            progress.tell(f"replaying {bag.name} at {rate:g} times real time", share)
+            _spin(executor, [attitude, replay], 0.2)
+        while _spin(executor, [attitude], QUIET) and len(listener.attitudes) < expected:
+            pass
+        handled = len(listener.attitudes) - count_start
+        return listener, (attitude.cpu_time() - cpu_start) / max(handled, 1)
+
+
+def _listen(executor, processes, until, patience, complaint):
+    deadline = time.monotonic() + patience
+    while not until():
+        _spin(executor, processes, 0.2)
+        if time.monotonic() > deadline:
+            said = "\n".join(f"{process.name}: {process.said}" for process in processes)
+            raise DemoError(f"{complaint} within {patience:g} s; the processes said:\n{said}")
+
+
+def _spin(executor, processes, seconds):
+    """Serve messages for a while; return whether there were any."""
+    for process in processes:
+        process.check()
+    deadline = time.monotonic() + seconds
+    served = False
+    while (left := deadline - time.monotonic()) > 0:
+        before = time.monotonic()
+        executor.spin_once(timeout_sec=left)
+        served |= time.monotonic() - before < left
+    return served
+
+
+def attitude_run(attitudes, truth):
+    """Return what was estimated, decoded, and its score.
+
+    Parameters
+    ----------
+    attitudes : list of bytes
+        Serialized sensor_msgs/Imu.
+    truth : inertial.recording.AttitudeSeries
+    """
+    batch = decode_batch(IMU, attitudes)
+    covariance_enu = batch.values[:, ORIENTATION_COVARIANCE].reshape(-1, 3, 3)
+    run = AttitudeRun(
+        batch.stamp_ns, q_nb_from_orientation(batch.values[:, ORIENTATION]),
+        swap_enu_ned_covariance(covariance_enu)[:, :2, :2], covariance_enu[:, 0, 0] >= 0.0, truth)
+    return run, score_attitude(run.stamp_ns, run.q_nb_wxyz, run.tilt_covariance_n, run.valid, truth)
+
+
+def demo_figures(score, sent, received, cpu_per_message, latency):
+    """Return the :class:`nav_ros.report.Figure` rows of the table."""
+    ratio = score.tilt_rms_deg / score.predicted_tilt_deg
+    median, late = np.percentile(latency, [50, 99]) * 1e3
+    return [
+        Figure("roll RMS", f"{score.roll_rms_deg:.2f} deg"),
+        Figure("pitch RMS", f"{score.pitch_rms_deg:.2f} deg"),
+        Figure("tilt RMS", f"{score.tilt_rms_deg:.2f} deg",
+               f"the filter predicts {score.predicted_tilt_deg:.2f} deg"),
+        Figure("tilt RMS / predicted", f"{ratio:.2f}", "{:g} to {:g}".format(*SIGMA_RATIO),
+               SIGMA_RATIO[0] <= ratio <= SIGMA_RATIO[1]),
+        Figure("within 3 sigma", f"{score.coverage_3sigma:.1%}", f"at least {COVERAGE[0]:.0%}",
+               COVERAGE[0] <= score.coverage_3sigma <= COVERAGE[1]),
+        Figure("IMU messages", f"{sent} sent, {received} answered", "all", sent == received),
+        Figure("CPU per message", f"{cpu_per_message * 1e6:.0f} us", "of attitude_node, most of it rclpy's"),
+        Figure("latency", f"{median:.1f} ms", f"median; 99 % within {late:.1f} ms"),
+    ]
+
+
+def run_demo(options, progress):
+    """Run, print the table, write the report; return whether every figure is within its bound."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    os.environ["ROS_DOMAIN_ID"] = str(free_domain())
+    os.environ["ROS_LOG_DIR"] = str((options.out / "ros_log").resolve())
+    recording = read_recording(options.bag)
+    if recording.truth is None:
+        raise DemoError(f"{options.bag} has no {TOPICS['truth']} to compare with")
+    sent = len(recording.imu)
+    listener, cpu_per_message = replay_and_listen(options.bag, sent, options.rate, options.out, progress)
+    progress.tell("scoring")
+    run, score = attitude_run(listener.attitudes, recording.truth)
+    figures = demo_figures(score, sent, len(listener.attitudes), cpu_per_message, listener.latency())
+    seconds = (recording.imu.stamp_ns[-1] - recording.imu.stamp_ns[0]) * 1e-9
+    title = (f"{recording.name}: {seconds:.0f} s at {sent / seconds:.0f} Hz, replayed at {options.rate:g} times "
+             "real time")
+    report = write_report(options.out, title, run, score, figures)
+    progress.close()
+    print(title + "\n\n" + text_table(figures) + f"\n\nreport: {report}")
+    return all(figure.within is not False for figure in figures)
+
+
+def main(arguments=None):
+    """Run ``attitude_demo``; return its exit status."""
+    parser = argparse.ArgumentParser(prog="attitude_demo", description=__doc__.partition("\n\n")[2],
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--bag", type=Path, help="bag with truth (default: the bundled one with turns)")
+    parser.add_argument("--rate", type=float, default=RATE, help="times real time (default %(default)g)")
+    parser.add_argument("--out", type=Path, default=Path("build/demo"), help="folder (default %(default)s)")
+    options = parser.parse_args(arguments)
+    progress = Progress(sys.stderr)
+    try:
+        options.bag = options.bag or bundled_bag("turns")
+        if run_demo(options, progress):
+            return 0
+        print("attitude_demo: a figure is outside its bound", file=sys.stderr)
+    except (DemoError, OSError, ValueError) as error:
+        progress.close()
+        print(f"attitude_demo: {error}", file=sys.stderr)
+    except KeyboardInterrupt:
+        progress.close()
+        return 130
+    return 1
