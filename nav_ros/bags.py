@@ -87,8 +87,11 @@ class BagReader:
         self._salvaged = []
         self._readers = []
         self.types = {}
-        for part in _parts(self._path):
-            self._open(part)
+        unreadable = [reason for part in _parts(self._path) for reason in self._open(part)]
+        if unreadable and not self._readers and not self._salvaged:
+            raise BagError(f"{self._path}: not a bag that can be read ({unreadable[0]})")
+        for reason in unreadable:
+            self._tell_break(reason, "the other files")
 
     def __enter__(self):
         return self
@@ -139,30 +142,33 @@ class BagReader:
                 yield message
 
     def _open(self, part):
+        """Open a folder or file; return a reason for each file that gives nothing at all."""
         try:
             reader = Reader(part)
             reader.open()
         except (OSError, *_DAMAGE) as error:
-            files = _storage_files(part) if part.is_dir() else []
-            for file in files:
-                self._open(file)
-            if not files:
-                self._salvage(part, str(error))
-            return
+            if part.is_dir():
+                # Metadata that cannot be used; the files speak for themselves.
+                files = _storage_files(part)
+                reasons = [reason for file in files for reason in self._open(file)]
+                return reasons if files else [_one_line(error)]
+            return self._salvage(part, _one_line(error))
         self._readers.append(reader)
         self.types.update({connection.topic: connection.msgtype for connection in reader.connections})
+        return []
 
     def _salvage(self, file, reason):
         try:
             found = read_broken_mcap(file.read_bytes())
         except (OSError, ValueError):
-            found = None
-        if not found or not found.messages:
-            raise BagError(f"{file}: not a bag that can be read ({_one_line(reason)})")
+            return [reason]
+        if not found.messages:
+            return [reason]
         self.types.update(found.types)
         self._salvaged += [BagMessage(*message) for message in found.messages]
         span = (found.messages[-1][1] - found.messages[0][1]) * 1e-9
-        self._tell_break(reason, f"{len(found.messages)} messages over {span:.1f} s")
+        self._tell_break(reason, f"{len(found.messages)} messages over {span:.1f} s up to the break")
+        return []
 
     def _read(self, reader, topics):
         connections = [connection for connection in reader.connections if connection.topic in topics]
@@ -174,12 +180,12 @@ class BagReader:
                 yield BagMessage(connection.topic, receive_ns, raw)
                 count += 1
         except _DAMAGE as error:
-            self._tell_break(str(error), f"{count} messages")
+            self._tell_break(_one_line(error), f"{count} messages up to the break")
 
     def _tell_break(self, reason, what):
-        self.broken = _one_line(reason)
-        warnings.warn(f"{self._path}: the recording is cut off or damaged ({self.broken}); read {what} up to "
-                      "the break", BagWarning, stacklevel=4)
+        self.broken = reason
+        warnings.warn(f"{self._path}: the recording is cut off or damaged ({reason}); read {what}",
+                      BagWarning, stacklevel=4)
 
 
 def read_messages(path, topics=None):

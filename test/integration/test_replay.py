@@ -31,7 +31,7 @@ SECONDS = 2.0
 """Length of the bag: 400 IMU samples at 200 Hz."""
 PACE_SLACK = 0.3
 """Seconds that a busy machine may take longer than the schedule."""
-SENSOR_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+SENSOR_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 TOPICS = {"imu/data_raw": Imu, "altitude": PointStamped, "ground_truth/attitude": QuaternionStamped}
 
 
