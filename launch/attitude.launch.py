@@ -11,7 +11,7 @@ def generate_launch_description():
     package = FindPackageShare("attitude_alignment")
     default_params = PathJoinSubstitution([package, "config", "attitude.yaml"])
     return LaunchDescription([
-        DeclareLaunchArgument("params_file", default_value=default_params, description="the node's parameters"),
+        DeclareLaunchArgument("params_file", default_value=default_params, description="parameter file"),
         DeclareLaunchArgument("namespace", default_value="", description="put before every topic"),
         DeclareLaunchArgument("use_sim_time", default_value="false", description="take the time from /clock"),
         Node(

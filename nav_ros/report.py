@@ -200,11 +200,12 @@ def _summary(run, score):
     down_b, spanned = interpolate_down(run.truth, run.stamp_ns)
     roll, pitch = np.degrees(roll_pitch_from_down(down_b[spanned]))
     start = (run.stamp_ns[np.argmax(run.valid)] - run.stamp_ns[0]) * 1e-9
-    return (f"The vehicle rolls from {roll.min():.0f} to {roll.max():.0f} deg and pitches from "
-            f"{pitch.min():.0f} to {pitch.max():.0f} deg. The filter starts knowing nothing, has an attitude after "
-            f"{start:.1f} s and then stays within {score.tilt_rms_deg:.2f} deg RMS of the true vertical; it says "
-            f"itself that {score.predicted_tilt_deg:.2f} deg are to be expected. Its error was inside of three "
-            f"times its own sigma {score.coverage_3sigma:.1%} of the time.")
+    return (
+        f"The vehicle rolls from {roll.min():.0f} to {roll.max():.0f} deg and pitches from "
+        f"{pitch.min():.0f} to {pitch.max():.0f} deg. The filter starts knowing nothing, has an attitude "
+        f"after {start:.1f} s and then stays within {score.tilt_rms_deg:.2f} deg RMS of the true vertical; its own sigma is "
+        f"{score.median_sigma_deg:.2f} deg in the median. The error was inside of three times that sigma "
+        f"{score.coverage_3sigma:.1%} of the time.")
 
 
 def _html_row(figure):
