@@ -48,6 +48,8 @@ VD, ALT, BG, BA = 3, 4, 5, 8
     1, 1, 1,  # SINCE_GRAVITY s; RESIDUAL (m/s^2)^2; NORM_EXCESS (m/s^2)^2
     1,  # FREE_FALL: 1 while the low-passed force is too small to show gravity
     1, 1, 1, 1, 1, 1)  # last altitudes, their spread (m^2) and resolution (m), jump tests
+PH = STATE_SIZE  # scratch behind the state: covariance times a measurement's row
+ARRAY_SIZE = PH + N
 
 # Parameters, by the name of the AttitudeParams field or derived value.
 PARAMETER_NAMES = (
@@ -93,11 +95,17 @@ I_STAMPS = I_COUNTS + len(FAULTS)
 I_ALT_STAMPS = I_STAMPS + HISTORY
 I_SIZE = I_ALT_STAMPS + ALTITUDES
 
-# One row of history: the state after a sample, and the sample as it was used.
-(H_STATE, H_DT, H_SAMPLE, H_GYRO_VAR, H_ACCEL_VAR, H_KNOWN, H_SIZE) = _offsets(
-    STATE_SIZE, 1, 6, 1, 1, 1)
+# One remembered sample, as it was used. The state after every SNAPSHOTS-th is kept, too.
+(H_DT, H_SAMPLE, H_GYRO_VAR, H_ACCEL_VAR, H_KNOWN, H_SIZE) = _offsets(1, 6, 1, 1, 1)
+SNAPSHOTS = 16
+
+# Everything of one estimator in one array; the integers are a view of their part.
+(M_STATE, M_PARAMETERS, M_OUT, M_INTS, M_ALTITUDES, M_HISTORY, M_SNAPSHOTS, MEMORY_SIZE) = _offsets(
+    ARRAY_SIZE, len(PARAMETER_NAMES), OUT_SIZE, I_SIZE, 2 * ALTITUDES, HISTORY * H_SIZE,
+    HISTORY // SNAPSHOTS * STATE_SIZE)
 
 ACTION_USE, ACTION_SKIP, ACTION_RESET = range(3)  # what to do with a sample of a recording
+OLD, STALE, FRESH = range(3)  # what became of a sample: not later than the last, no output, output
 
 REST_TIME = 1.5  # s of stillness that count as rest
 LOWPASS_TIME = 0.5  # s
@@ -161,29 +169,38 @@ def restart(s, p, gap):
 
 
 @njit(cache=True)
-def _transition(m, r, jv, jh, c, dt, decay):
-    """Replace the N x N matrix by F times it; r is R^T by rows, c the propagated down direction."""
-    for j in range(N):
-        c0, c1, c2 = m[j], m[N + j], m[2 * N + j]
-        v, h = m[VD * N + j], m[ALT * N + j]
-        b0, b1, b2 = dt * m[BG * N + j], dt * m[(BG + 1) * N + j], dt * m[(BG + 2) * N + j]
-        a0, a1, a2 = m[BA * N + j], m[(BA + 1) * N + j], m[(BA + 2) * N + j]
-        m[j] = r[0] * c0 + r[1] * c1 + r[2] * c2 + c[2] * b1 - c[1] * b2
-        m[N + j] = r[3] * c0 + r[4] * c1 + r[5] * c2 + c[0] * b2 - c[2] * b0
-        m[2 * N + j] = r[6] * c0 + r[7] * c1 + r[8] * c2 + c[1] * b0 - c[0] * b1
-        m[VD * N + j] = (v + jv[0] * c0 + jv[1] * c1 + jv[2] * c2
-                         - dt * (c[0] * a0 + c[1] * a1 + c[2] * a2))
-        m[ALT * N + j] = h - dt * v - jh[0] * c0 - jh[1] * c1 - jh[2] * c2
-        m[BA * N + j] = decay * a0
-        m[(BA + 1) * N + j] = decay * a1
-        m[(BA + 2) * N + j] = decay * a2
+def _carry_covariance(s, r, jv, jh, c, dt, decay):
+    """Replace P by F P F^T; r is R^T by rows, c the propagated down direction.
 
-
-@njit(cache=True)
-def _transpose(m):
-    for i in range(N):
-        for j in range(i):
-            m[N * i + j], m[N * j + i] = m[N * j + i], m[N * i + j]
+    F changes the first five states only, but for the decay of the accelerometer bias: first F's rows
+    times P, in place, column by column, then that times F^T, row by row, and its mirror image.
+    """
+    for j in range(P, P + N):
+        c0, c1, c2, v = s[j], s[j + N], s[j + 2 * N], s[j + VD * N]
+        b0, b1, b2 = dt * s[j + BG * N], dt * s[j + (BG + 1) * N], dt * s[j + (BG + 2) * N]
+        s[j + ALT * N] -= dt * v + jh[0] * c0 + jh[1] * c1 + jh[2] * c2
+        s[j + VD * N] = (v + jv[0] * c0 + jv[1] * c1 + jv[2] * c2 - dt * (
+            c[0] * s[j + BA * N] + c[1] * s[j + (BA + 1) * N] + c[2] * s[j + (BA + 2) * N]))
+        s[j] = r[0] * c0 + r[1] * c1 + r[2] * c2 + c[2] * b1 - c[1] * b2
+        s[j + N] = r[3] * c0 + r[4] * c1 + r[5] * c2 + c[0] * b2 - c[2] * b0
+        s[j + 2 * N] = r[6] * c0 + r[7] * c1 + r[8] * c2 + c[1] * b0 - c[0] * b1
+    for i in range(P, P + N * BG, N):
+        c0, c1, c2, v = s[i], s[i + 1], s[i + 2], s[i + VD]
+        b0, b1, b2 = dt * s[i + BG], dt * s[i + BG + 1], dt * s[i + BG + 2]
+        s[i + ALT] -= dt * v + jh[0] * c0 + jh[1] * c1 + jh[2] * c2
+        s[i + VD] = (v + jv[0] * c0 + jv[1] * c1 + jv[2] * c2
+                     - dt * (c[0] * s[i + BA] + c[1] * s[i + BA + 1] + c[2] * s[i + BA + 2]))
+        s[i] = r[0] * c0 + r[1] * c1 + r[2] * c2 + c[2] * b1 - c[1] * b2
+        s[i + 1] = r[3] * c0 + r[4] * c1 + r[5] * c2 + c[0] * b2 - c[2] * b0
+        s[i + 2] = r[6] * c0 + r[7] * c1 + r[8] * c2 + c[1] * b0 - c[0] * b1
+    for i in range(BA, N):
+        for j in range(N):
+            s[P + N * j + i] *= decay
+        for j in range(BG, N):
+            s[P + N * i + j] *= decay
+    for i in range(BG):
+        for j in range(i + 1, N):
+            s[P + N * j + i] = s[P + N * i + j]
 
 
 @njit(cache=True)
@@ -238,19 +255,16 @@ def row_predict(s, p, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
     decay = max(1.0 - dt / p[P_ACCEL_BIAS_TIME], 0.0)
     for i in range(3):
         s[X + BA + i] *= decay
-    m = s[P:P + N * N]
-    _transition(m, r, jv, jh, c, dt, decay)
-    _transpose(m)
-    _transition(m, r, jv, jh, c, dt, decay)
+    _carry_covariance(s, r, jv, jh, c, dt, decay)
     rate2 = wx * wx + wy * wy + wz * wz
     accel2 = (fx + g * c[0]) ** 2 + (fy + g * c[1]) ** 2 + (fz + g * c[2]) ** 2
     q_angle = dt * (p[P_GYRO_NOISE] ** 2 + p[P_GYRO_RATE_ERROR] ** 2 * rate2) + gyro_var
     q_vd = dt * (p[P_ACCEL_NOISE] ** 2 + p[P_ACCEL_FORCE_ERROR] ** 2 * accel2) + accel_var
     _add_multiplicative_noise(s, N, c, q_angle, q_vd)
-    m[(N + 1) * ALT] += dt * (p[P_ALT_DRIFT] ** 2 + (p[P_ALT_SCALE_ERROR] * s[X + VD]) ** 2)
+    s[P + (N + 1) * ALT] += dt * (p[P_ALT_DRIFT] ** 2 + (p[P_ALT_SCALE_ERROR] * s[X + VD]) ** 2)
     for i in range(3):
-        m[(N + 1) * (BG + i)] += dt * p[P_GYRO_BIAS_WALK] ** 2
-        m[(N + 1) * (BA + i)] += 2.0 * dt / p[P_ACCEL_BIAS_TIME] * p[P_ACCEL_BIAS_STD] ** 2
+        s[P + (N + 1) * (BG + i)] += dt * p[P_GYRO_BIAS_WALK] ** 2
+        s[P + (N + 1) * (BA + i)] += 2.0 * dt / p[P_ACCEL_BIAS_TIME] * p[P_ACCEL_BIAS_STD] ** 2
     return r, c
 
 
@@ -297,27 +311,27 @@ def _carry_gravity(s, p, dt, r, c, fx, fy, fz, force_known):
 
 
 @njit(cache=True)
-def _row_update(s, p, ph, variance, innovation, share):
-    """Scalar Kalman update; the accelerometer bias takes `share` of its gain (Schmidt)."""
+def _row_update(s, p, variance, innovation, share):
+    """Scalar Kalman update with the covariance row in PH; the accelerometer bias takes `share` of its gain (Schmidt)."""
     inv = 1.0 / variance
     gain = innovation * inv
     for j in range(3):
-        d = p[P_GRAVITY] * gain * ph[BG + j]
+        d = p[P_GRAVITY] * gain * s[PH + BG + j]
         for i in range(3):
             s[GRAVITY + i] += s[GRAVITY_BG + 3 * i + j] * d
     for i in range(BA):
-        s[X + i] += gain * ph[i]
-        k = inv * ph[i]
+        s[X + i] += gain * s[PH + i]
+        k = inv * s[PH + i]
         for j in range(N):
-            s[P + N * i + j] -= k * ph[j]
+            s[P + N * i + j] -= k * s[PH + j]
     both = 1.0 - (1.0 - share) ** 2
     for i in range(BA, N):
-        s[X + i] += share * gain * ph[i]
-        k = inv * ph[i]
+        s[X + i] += share * gain * s[PH + i]
+        k = inv * s[PH + i]
         for j in range(BA):
-            s[P + N * i + j] -= k * ph[j]
+            s[P + N * i + j] -= k * s[PH + j]
         for j in range(BA, N):
-            s[P + N * i + j] -= both * k * ph[j]
+            s[P + N * i + j] -= both * k * s[PH + j]
 
 
 @njit(cache=True)
@@ -407,7 +421,6 @@ def row_gravity_update(s, p, elapsed):
     noise = _gravity_variance(s, p, elapsed)
     if s[FREE_FALL] == 1.0:
         return
-    ph = np.empty(N)
     for i in range(3):
         w, b = GRAVITY_BG + 3 * i, GRAVITY_BA + 3 * i
         y = s[GRAVITY + i] + g * s[X + i]
@@ -415,20 +428,20 @@ def row_gravity_update(s, p, elapsed):
             y -= s[b + j] * s[X + BA + j]
         for k in range(N):
             row = P + N * k
-            ph[k] = -g * s[row + i]
+            s[PH + k] = -g * s[row + i]
             for j in range(3):
-                ph[k] += s[b + j] * s[row + BA + j] - g * s[w + j] * s[row + BG + j]
-        variance = noise - g * ph[i]
+                s[PH + k] += s[b + j] * s[row + BA + j] - g * s[w + j] * s[row + BG + j]
+        variance = noise - g * s[PH + i]
         for j in range(3):
-            variance += s[b + j] * ph[BA + j] - g * s[w + j] * ph[BG + j]
-        _row_update(s, p, ph, variance, y, p[P_BIAS_SHARE])
+            variance += s[b + j] * s[PH + BA + j] - g * s[w + j] * s[PH + BG + j]
+        _row_update(s, p, variance, y, p[P_BIAS_SHARE])
     if s[REST] >= REST_TIME:
-        _rest_update(s, p, ph, elapsed)
+        _rest_update(s, p, elapsed)
     _normalise(s, N)
 
 
 @njit(cache=True)
-def _rest_update(s, p, ph, elapsed):
+def _rest_update(s, p, elapsed):
     """At rest the low-passed gyro is its bias; a component 4 sigma off is left out."""
     noise = p[P_REST_GYRO_STD] ** 2 * max(1.0, 1.0 / elapsed)
     for i in range(3):
@@ -436,8 +449,8 @@ def _rest_update(s, p, ph, elapsed):
         variance = s[P + (N + 1) * (BG + i)] + noise
         if y * y < 16.0 * variance:
             for k in range(N):
-                ph[k] = s[P + N * k + BG + i]
-            _row_update(s, p, ph, variance, y, 1.0)
+                s[PH + k] = s[P + N * k + BG + i]
+            _row_update(s, p, variance, y, 1.0)
 
 
 @njit(cache=True)
@@ -448,17 +461,16 @@ def row_altitude_update(s, p, z, message_var, age):
     noise = max(noise, s[ALT_SPREAD]) + s[ALT_STEP] ** 2 / 12.0
     noise *= max(1.0, 0.1 / max(s[SINCE_ALT], 1e-3))
     delay = p[P_ALT_DELAY] + age
-    ph = np.empty(N)
     for k in range(N):
-        ph[k] = s[P + N * k + ALT] + delay * s[P + N * k + VD]
-    variance = ph[ALT] + delay * ph[VD] + noise
+        s[PH + k] = s[P + N * k + ALT] + delay * s[P + N * k + VD]
+    variance = s[PH + ALT] + delay * s[PH + VD] + noise
     y = z - s[X + ALT] - delay * s[X + VD]
     opened = _open_reference(s, p, y, variance)
     if opened < 0.0:
         return
     s[P + (N + 1) * ALT] += opened
-    ph[ALT] += opened
-    _row_update(s, p, ph, variance + opened, y, 1.0)
+    s[PH + ALT] += opened
+    _row_update(s, p, variance + opened, y, 1.0)
     _normalise(s, N)
 
 
@@ -716,10 +728,35 @@ def _write_quaternion(out, a, e, d):
 
 
 @njit(cache=True)
-def reset(s, p, ints):
+def _parts(memory):
+    """Return state, parameters, history, snapshots, altitudes and integers as views of the memory."""
+    return (memory[M_STATE:M_PARAMETERS], memory[M_PARAMETERS:M_OUT],
+            memory[M_HISTORY:M_SNAPSHOTS].reshape((HISTORY, H_SIZE)),
+            memory[M_SNAPSHOTS:MEMORY_SIZE].reshape((HISTORY // SNAPSHOTS, STATE_SIZE)),
+            memory[M_ALTITUDES:M_HISTORY].reshape((ALTITUDES, 2)),
+            memory[M_INTS:M_ALTITUDES].view(np.int64))
+
+
+@njit(cache=True)
+def reset(memory):
     """Forget everything but the counters."""
+    s, p, _, _, _, ints = _parts(memory)
     initialise(s, p)
-    ints[:I_COUNTS] = 0
+    _forget_history(ints)
+
+
+@njit(cache=True)
+def push_imu(memory, stamp, gyro_b, accel_b):
+    """Take one sample as it comes; the output row is in the memory where FRESH is returned."""
+    s, p, history, snapshots, altitudes, ints = _parts(memory)
+    if ints[I_STORED] > 0 and stamp <= ints[I_LAST_STAMP]:
+        return OLD
+    fresh = _take_imu(s, p, history, snapshots, altitudes, ints, stamp, gyro_b[0], gyro_b[1], gyro_b[2],
+                      accel_b[0], accel_b[1], accel_b[2])
+    if not fresh:
+        return STALE
+    write_output(s, p, memory[M_OUT:M_INTS])
+    return FRESH
 
 
 @njit(cache=True)
@@ -755,6 +792,12 @@ def _suspicion(s, p, counts, dt, wx, wy, wz, fx, fy, fz):
 
 
 @njit(cache=True)
+def _forget_history(ints):
+    ints[:I_COUNTS] = 0
+    ints[I_HEAD] = -1  # so that the first sample has a snapshot
+
+
+@njit(cache=True)
 def _remember(history, ints, stamp, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, known):
     """Write a sample into the next row of history and return the row."""
     head = (ints[I_HEAD] + 1) % HISTORY
@@ -777,23 +820,23 @@ def _remember(history, ints, stamp, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_
 
 
 @njit(cache=True)
-def _start(s, p, history, ints, stamp, wx, wy, wz, fx, fy, fz):
+def _start(s, p, history, snapshots, ints, stamp, wx, wy, wz, fx, fy, fz):
     """Set the clock by the first good sample; altitudes back to one buffer before it count."""
     s[GYRO], s[GYRO + 1], s[GYRO + 2] = wx, wy, wz
     s[ACCEL], s[ACCEL + 1], s[ACCEL + 2] = fx, fy, fz
     s[GYRO_LP:ACCEL_LP] = s[GYRO:ACCEL]
     s[ACCEL_LP:GYRO_SPREAD] = s[ACCEL:GYRO_LP]
     before = stamp - np.int64(p[P_ALT_BUFFER] * 1e9) - 1
-    row = _remember(history, ints, before, 0.0, wx, wy, wz, fx, fy, fz, 0.0, 0.0, 1.0)
-    row[:STATE_SIZE] = s
+    _remember(history, ints, before, 0.0, wx, wy, wz, fx, fy, fz, 0.0, 0.0, 1.0)
+    _keep_state(s, snapshots, ints[I_HEAD])
     ints[I_LAST_STAMP] = stamp
 
 
 @njit(cache=True)
-def push_imu(s, p, history, altitudes, ints, out, stamp, wx, wy, wz, fx, fy, fz):
-    """Take one sample as it comes and fill `out`; return whether there is new output.
+def _take_imu(s, p, history, snapshots, altitudes, ints, stamp, wx, wy, wz, fx, fy, fz):
+    """Check a sample whose stamp (ns) is later than the last one, and step over it.
 
-    The stamp (ns) must be later than the last one. Altitudes that waited for it are applied.
+    Altitudes that waited for it are applied. Returns whether there is new output.
     """
     counts = ints[I_COUNTS:I_STAMPS]
     gyro_ok = _vector_ok(counts, F_GYRO_NOT_FINITE, F_GYRO_OUT_OF_RANGE, p[P_GYRO_RANGE], wx, wy, wz)
@@ -801,11 +844,11 @@ def push_imu(s, p, history, altitudes, ints, out, stamp, wx, wy, wz, fx, fy, fz)
     if ints[I_STORED] > 0 and stamp - ints[I_LAST_STAMP] > p[P_GAP_LIMIT] * 1e9:
         counts[F_RESTARTED] += 1
         restart(s, p, (stamp - ints[I_LAST_STAMP]) * 1e-9)
-        ints[:I_COUNTS] = 0
+        _forget_history(ints)
     if ints[I_STORED] == 0:
         if not (gyro_ok and force_ok):
             return False
-        _start(s, p, history, ints, stamp, wx, wy, wz, fx, fy, fz)
+        _start(s, p, history, snapshots, ints, stamp, wx, wy, wz, fx, fy, fz)
     dt = (stamp - ints[I_LAST_STAMP]) * 1e-9
     gyro_var = accel_var = 0.0
     if gyro_ok:
@@ -826,28 +869,48 @@ def push_imu(s, p, history, altitudes, ints, out, stamp, wx, wy, wz, fx, fy, fz)
     row = _remember(history, ints, stamp, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var,
                     1.0 if known else 0.0)
     _advance(s, p, row, altitudes, ints, stamp)
-    write_output(s, p, out)
+    _keep_state(s, snapshots, ints[I_HEAD])
     return True
 
 
 @njit(cache=True)
+def _keep_state(s, snapshots, index):
+    """Keep the state after the sample with this index in the history, if it is one of those to keep."""
+    if index % SNAPSHOTS == 0:
+        for k in range(STATE_SIZE):
+            snapshots[index // SNAPSHOTS, k] = s[k]
+
+
+@njit(cache=True)
 def _advance(s, p, row, altitudes, ints, stamp):
-    """Step over one remembered sample, apply the altitudes up to its stamp, take the snapshot."""
+    """Step over one remembered sample and apply the altitudes up to its stamp."""
     if row[H_DT] > 0.0:
         imu_step(s, p, row[H_DT], row[H_SAMPLE], row[H_SAMPLE + 1], row[H_SAMPLE + 2],
                  row[H_SAMPLE + 3], row[H_SAMPLE + 4], row[H_SAMPLE + 5],
                  row[H_GYRO_VAR], row[H_ACCEL_VAR], row[H_KNOWN] == 1.0)
+    _apply_altitudes(s, p, altitudes, ints, stamp)
+
+
+@njit(cache=True)
+def _apply_altitudes(s, p, altitudes, ints, stamp):
+    """Apply the remembered altitudes that are due at the stamp of the state."""
     while ints[I_NEXT] < ints[I_ALTITUDES] and ints[I_ALT_STAMPS + ints[I_NEXT]] <= stamp:
         k = ints[I_NEXT]
         age = (stamp - ints[I_ALT_STAMPS + k]) * 1e-9
         altitude_step(s, p, altitudes[k, 0], altitudes[k, 1], age)
         ints[I_NEXT] += 1
-    row[:STATE_SIZE] = s
 
 
 @njit(cache=True)
-def push_altitude(s, p, history, altitudes, ints, stamp, z, message_var):
-    """Take one altitude (m, up) at its stamp (ns); return whether it counts.
+def push_altitude(memory, stamp, z, message_var):
+    """Take one altitude (m, up) at its stamp (ns); return whether it counts."""
+    s, p, history, snapshots, altitudes, ints = _parts(memory)
+    return _take_altitude(s, p, history, snapshots, altitudes, ints, stamp, z, message_var)
+
+
+@njit(cache=True)
+def _take_altitude(s, p, history, snapshots, altitudes, ints, stamp, z, message_var):
+    """Insert an altitude where it belongs in time.
 
     One that is ahead of the IMU waits for it; a late one takes the filter back to its stamp and
     steps over the remembered samples again.
@@ -866,12 +929,20 @@ def push_altitude(s, p, history, altitudes, ints, stamp, z, message_var):
         counts[F_ALT_DUPLICATE] += 1
         return False
     back = _samples_since(ints, stamp)
-    if back == ints[I_STORED] > 0 or ints[I_LAST_STAMP] - stamp > p[P_ALT_BUFFER] * 1e9 and back > 0:
-        counts[F_ALT_LATE] += 1
-        return False
+    if back == 1 and place == ints[I_NEXT] == ints[I_ALTITUDES] and ints[I_STORED] > 1:
+        # The newest of all, since the sample before: what a rewind would come to.
+        _insert_altitude(altitudes, ints, place, stamp, z, message_var)
+        _apply_altitudes(s, p, altitudes, ints, ints[I_LAST_STAMP])
+        _keep_state(s, snapshots, ints[I_HEAD])
+        return True
+    if back > 0:
+        back += (ints[I_HEAD] - back) % SNAPSHOTS
+        if back >= ints[I_STORED] or ints[I_LAST_STAMP] - stamp > p[P_ALT_BUFFER] * 1e9:
+            counts[F_ALT_LATE] += 1
+            return False
     _insert_altitude(altitudes, ints, place, stamp, z, message_var)
     if back > 0:
-        _rewind(s, p, history, altitudes, ints, back)
+        _rewind(s, p, history, snapshots, altitudes, ints, back)
     return True
 
 
@@ -904,17 +975,19 @@ def _insert_altitude(altitudes, ints, place, stamp, z, message_var):
 
 
 @njit(cache=True)
-def _rewind(s, p, history, altitudes, ints, back):
+def _rewind(s, p, history, snapshots, altitudes, ints, back):
     """Go back before the last `back` samples and step over them again."""
     held, stuck = s[HELD], s[STUCK]
     origin = (ints[I_HEAD] - back) % HISTORY
-    s[:] = history[origin, :STATE_SIZE]
+    for k in range(STATE_SIZE):
+        s[k] = snapshots[origin // SNAPSHOTS, k]
     ints[I_NEXT] = 0
     while ints[I_ALT_STAMPS + ints[I_NEXT]] <= ints[I_STAMPS + origin]:
         ints[I_NEXT] += 1
     for k in range(back - 1, -1, -1):
         at = (ints[I_HEAD] - k) % HISTORY
         _advance(s, p, history[at], altitudes, ints, ints[I_STAMPS + at])
+        _keep_state(s, snapshots, at)
     s[HELD], s[STUCK] = held, stuck
 
 
@@ -922,20 +995,29 @@ def _rewind(s, p, history, altitudes, ints, back):
 
 
 @njit(cache=True)
-def run(s, p, history, altitudes, ints, stamps, gyro, accel, actions,
-        alt_stamps, alt_values, alt_vars, arrival, out, fresh):
-    """Feed a recording in recorded order; rows of `out` are filled where `fresh` becomes True."""
+def run(memory, stamps, gyro_b, accel_b, actions, alt_stamps, alt_values, alt_vars, arrival, out, fresh):
+    """Feed a recording in recorded order; rows of `out` are filled where `fresh` becomes True.
+
+    Returns how many samples were taken before one whose stamp is not later than the last.
+    """
+    s, p, history, snapshots, altitudes, ints = _parts(memory)
     j = 0
     for k in range(len(stamps)):
         while j < len(arrival) and arrival[j] <= k:
-            push_altitude(s, p, history, altitudes, ints, alt_stamps[j], alt_values[j], alt_vars[j])
+            _take_altitude(s, p, history, snapshots, altitudes, ints, alt_stamps[j], alt_values[j], alt_vars[j])
             j += 1
+        fresh[k] = False
         if actions[k] == ACTION_SKIP:
             continue
         if actions[k] == ACTION_RESET:
-            reset(s, p, ints)
-        fresh[k] = push_imu(s, p, history, altitudes, ints, out[k], stamps[k],
-                            gyro[k, 0], gyro[k, 1], gyro[k, 2], accel[k, 0], accel[k, 1], accel[k, 2])
+            reset(memory)
+        if ints[I_STORED] > 0 and stamps[k] <= ints[I_LAST_STAMP]:
+            return k
+        fresh[k] = _take_imu(s, p, history, snapshots, altitudes, ints, stamps[k], gyro_b[k, 0], gyro_b[k, 1],
+                             gyro_b[k, 2], accel_b[k, 0], accel_b[k, 1], accel_b[k, 2])
+        if fresh[k]:
+            write_output(s, p, out[k])
     while j < len(arrival):
-        push_altitude(s, p, history, altitudes, ints, alt_stamps[j], alt_values[j], alt_vars[j])
+        _take_altitude(s, p, history, snapshots, altitudes, ints, alt_stamps[j], alt_values[j], alt_vars[j])
         j += 1
+    return len(stamps)

@@ -126,11 +126,10 @@ class AttitudeEstimator:
     """
 
     def __init__(self, params=None):
-        self._state = np.zeros(kernels.STATE_SIZE)
-        self._history = np.zeros((kernels.HISTORY, kernels.H_SIZE))
-        self._altitudes = np.zeros((kernels.ALTITUDES, 2))
-        self._ints = np.zeros(kernels.I_SIZE, dtype=np.int64)
-        self._out = np.zeros(kernels.OUT_SIZE)
+        self._memory = np.zeros(kernels.MEMORY_SIZE)
+        self._state = self._memory[kernels.M_STATE:kernels.M_PARAMETERS]
+        self._out = self._memory[kernels.M_OUT:kernels.M_INTS]
+        self._ints = self._memory[kernels.M_INTS:kernels.M_ALTITUDES].view(np.int64)
         self.params = AttitudeParams() if params is None else params
         self.reset()
 
@@ -141,12 +140,12 @@ class AttitudeEstimator:
 
     @params.setter
     def params(self, params):
-        self._flat = params.flat(kernels.PARAMETER_NAMES)
+        self._memory[kernels.M_PARAMETERS:kernels.M_OUT] = params.flat(kernels.PARAMETER_NAMES)
         self._params = params
 
     def reset(self):
         """Forget everything but the fault counters, and start blind."""
-        kernels.reset(self._state, self._flat, self._ints)
+        kernels.reset(self._memory)
 
     def add_imu(self, stamp_ns, gyro_b, accel_b):
         """Take one IMU sample.
@@ -155,7 +154,7 @@ class AttitudeEstimator:
         ----------
         stamp_ns : int
             End of the interval over which the sample is the mean.
-        gyro_b, accel_b : (3,), rad/s and m/s^2, FRD
+        gyro_b, accel_b : (3,) float64 arrays, rad/s and m/s^2, FRD
             A value that is not finite or out of range is counted and bridged or left out.
 
         Returns
@@ -168,12 +167,10 @@ class AttitudeEstimator:
         TimeJumpError
             When the stamp is not later than the one before.
         """
-        last = self._ints[kernels.I_LAST_STAMP]
-        if self._ints[kernels.I_STORED] and stamp_ns <= last:
-            raise TimeJumpError(f"IMU stamp {stamp_ns} ns is not later than {last} ns")
-        return kernels.push_imu(
-            self._state, self._flat, self._history, self._altitudes, self._ints, self._out, stamp_ns,
-            gyro_b[0], gyro_b[1], gyro_b[2], accel_b[0], accel_b[1], accel_b[2])
+        done = kernels.push_imu(self._memory, stamp_ns, gyro_b, accel_b)
+        if done == kernels.OLD:
+            self._complain(stamp_ns)
+        return done == kernels.FRESH
 
     def add_altitude(self, stamp_ns, altitude, variance=0.0):
         """Take one altitude (m, up) at its stamp; variance (m^2) counts when > 0.
@@ -183,8 +180,7 @@ class AttitudeEstimator:
         bool
             Whether it counts; if not, :attr:`faults` says why.
         """
-        return kernels.push_altitude(self._state, self._flat, self._history, self._altitudes,
-                                     self._ints, stamp_ns, altitude, variance)
+        return kernels.push_altitude(self._memory, stamp_ns, altitude, variance)
 
     @property
     def estimate(self):
@@ -238,30 +234,25 @@ class AttitudeEstimator:
         Raises
         ------
         TimeJumpError
-            When a stamp that is to be used is not later than the one before.
+            When a stamp that is to be used is not later than the one before; the samples before it count.
         """
         actions = np.zeros(len(imu), dtype=np.int64) if actions is None else np.asarray(actions)
-        self._check_stamps(imu.stamp_ns, actions)
         if altitude is None:
             stamps = arrival = np.zeros(0, dtype=np.int64)
             values = variances = np.zeros(0)
         else:
             stamps, values, arrival = altitude.stamp_ns, altitude.altitude, altitude.arrival
             variances = np.zeros(len(values)) if altitude_variance is None else altitude_variance
-        rows = np.zeros((len(imu), kernels.OUT_SIZE))
+        rows = np.empty((len(imu), kernels.OUT_SIZE))
         fresh = np.zeros(len(imu), dtype=bool)
-        kernels.run(self._state, self._flat, self._history, self._altitudes, self._ints,
-                    imu.stamp_ns, imu.gyro_b, imu.accel_b, actions,
-                    stamps, values, variances, arrival, rows, fresh)
+        taken = kernels.run(self._memory, imu.stamp_ns, imu.gyro_b, imu.accel_b, actions,
+                            stamps, values, variances, arrival, rows, fresh)
+        if taken < len(imu):
+            self._complain(imu.stamp_ns[taken])
+        if fresh.all():
+            return Estimates(imu.stamp_ns, rows), fresh
         return Estimates(imu.stamp_ns[fresh], rows[fresh]), fresh
 
-    def _check_stamps(self, stamp_ns, actions):
-        used = actions != ACTION_SKIP
-        stamps, resets = stamp_ns[used], actions[used] == ACTION_RESET
-        if self._ints[kernels.I_STORED]:
-            stamps = np.concatenate([[self._ints[kernels.I_LAST_STAMP]], stamps])
-            resets = np.concatenate([[True], resets])
-        bad = np.flatnonzero((np.diff(stamps) <= 0) & ~resets[1:])
-        if len(bad):
-            k = bad[0]
-            raise TimeJumpError(f"IMU stamp {stamps[k + 1]} ns is not later than {stamps[k]} ns")
+    def _complain(self, stamp_ns):
+        last = self._ints[kernels.I_LAST_STAMP]
+        raise TimeJumpError(f"IMU stamp {stamp_ns} ns is not later than {last} ns")

@@ -6,6 +6,7 @@ serialized messages, because making message objects costs more than the estimate
 """
 
 import math
+import sys
 import time
 from collections import Counter
 
@@ -42,8 +43,8 @@ from nav_ros.messages import (
 from nav_ros.parameters import declare_parameters, on_change
 from nav_ros.time_gate import StampCode, TimeGate
 
-SENSOR_QOS = QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=200)
-OUTPUT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=200)
+SENSOR_QOS = QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=1000)
+OUTPUT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
 MESSAGE_TYPES = {"imu/data": Imu, "imu/rpy/filtered": Vector3Stamped, "attitude/state": Odometry,
                  "imu/gyro_bias": Vector3Stamped, "imu/accel_bias": Vector3Stamped}
 WATCH_PERIOD = 0.2  # s, how soon a silent IMU is told
@@ -361,8 +362,8 @@ def main():
         node = AttitudeNode()
         rclpy.spin(node)
     except ValueError as error:
-        print(f"attitude_node: {error}", flush=True)
-        return 1
+        print(f"attitude_node: {error}", file=sys.stderr)
+        return 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
@@ -370,3 +371,7 @@ def main():
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

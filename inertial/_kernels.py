@@ -10,6 +10,8 @@ from numba import njit
 
 # Below it the closed forms of the last two coefficients lose digits; eleven terms reach 1e-16 there.
 _SERIES_ANGLE = 2.0
+# Below it five terms do.
+_SMALL_ANGLE = 0.25
 
 
 @njit(cache=True)
@@ -30,7 +32,11 @@ def zoh_coefficients(angle):
     angle2 = angle * angle
     if angle < _SERIES_ANGLE:
         third = fourth = 0.0
-        for k in range(10, -1, -1):
+        if angle >= _SMALL_ANGLE:
+            for k in range(10, 4, -1):
+                third = 1.0 - third * (angle2 * (1.0 / ((2 * k + 4) * (2 * k + 5))))
+                fourth = 1.0 - fourth * (angle2 * (1.0 / ((2 * k + 5) * (2 * k + 6))))
+        for k in range(4, -1, -1):
             third = 1.0 - third * (angle2 * (1.0 / ((2 * k + 4) * (2 * k + 5))))
             fourth = 1.0 - fourth * (angle2 * (1.0 / ((2 * k + 5) * (2 * k + 6))))
         third /= 6.0

@@ -48,8 +48,8 @@ def family_of(name):
 def estimate(recording, params, use_altitude=True):
     """Return the score of an estimator on a recording."""
     estimates, _ = AttitudeEstimator(params).run(recording.imu, recording.altitude if use_altitude else None)
-    return score_attitude(estimates.stamp_ns, estimates.q_nb_wxyz, estimates.tilt_covariance_n, estimates.valid,
-                          recording.truth)
+    return score_attitude(estimates.stamp_ns, estimates.q_nb_wxyz, estimates.tilt_covariance_n,
+                          estimates.valid, recording.truth)
 
 
 def score_recordings(folder, params):
@@ -107,8 +107,8 @@ def report(results):
     without = geometric_ratio(results, lambda result: result.score_imu_only.tilt_rms_deg)
     lines += ["", f"Geometric mean of the families' ratios to VQF: {with_altitude:.2f} with altitude, "
               f"{without:.2f} without.", "",
-              "The truth of the inav recordings is the onboard filter of the same IMU (differences below 2 deg "
-              "mean nothing there), that of vn100 comes from the same sensor, px4 stands still.", ""]
+              "The truth of the inav recordings is the onboard filter of the same IMU (differences below "
+              "2 deg mean nothing there), that of vn100 comes from the same sensor, px4 stands still.", ""]
     return "\n".join(lines)
 
 

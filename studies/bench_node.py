@@ -1,0 +1,127 @@
+"""The part of the benchmark at the ROS edge: nodes as processes over DDS, and bags."""
+
+import contextlib
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rosbags.rosbag2 import Reader
+
+from attitude_estimator.cli import estimate_bag
+from attitude_estimator.edge import AttitudeNodeParams
+from inertial.simulator import simulate
+from nav_ros.bags import TOPICS, BagWriter
+from nav_ros.demo import Listener, free_domain
+from nav_ros.recorded import recorded_messages
+from nav_ros.resources import executable
+from studies.timing import print_table, times_in_turn
+
+NODE_SECONDS = 12.0
+NODE_ROUNDS = 3
+NODE_RATES = (200.0, 1000.0)  # Hz
+OFFLINE_SECONDS = 240.0
+
+
+def bench_nodes():
+    """CPU per message and latency of attitude_node beside relays, in turn."""
+    nodes = {"relay": [sys.executable, "-m", "studies.relay_node"],
+             "relay of bytes": [sys.executable, "-m", "studies.relay_node", "raw"],
+             "attitude_node": [str(executable("attitude_node"))]}
+    os.environ["ROS_DOMAIN_ID"] = str(free_domain())
+    rclpy.init()
+    results = {}
+    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as cleanup:
+        cleanup.callback(rclpy.try_shutdown)
+        for rate in NODE_RATES:
+            bag = Path(folder) / f"imu_{rate:.0f}"
+            _write_bag(bag, rate)
+            runs = {name: [] for name in nodes}
+            for _ in range(NODE_ROUNDS):
+                for name, command in nodes.items():
+                    node = rclpy.create_node("bench")
+                    executor = SingleThreadedExecutor()
+                    executor.add_node(node)
+                    runs[name].append(_run_node(command, bag, executor, Listener(node)))
+                    node.destroy_node()
+            results[f"{rate:.0f} Hz"] = {
+                name: {key: statistics.median(run[key] for run in values) for key in values[0]}
+                for name, values in runs.items()}
+            for key in results[f"{rate:.0f} Hz"]["relay"]:
+                print_table(f"{rate:.0f} Hz: {key}",
+                             {name: values[key] for name, values in results[f"{rate:.0f} Hz"].items()}, "relay")
+    return results
+
+
+def _write_bag(path, rate):
+    recording = simulate("turn", duration=NODE_SECONDS, imu_rate=rate)
+    types, messages = recorded_messages(recording)
+    with BagWriter(path, types) as writer:
+        for message in messages:
+            writer.write(*message)
+
+
+def _run_node(command, bag, executor, listener):
+    """Return the figures of one node over one replay."""
+    node = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    replay = subprocess.Popen(
+        [str(executable("replay_node")), "--ros-args", "-p", f"bag:={bag}", "-p", "wait_for_subscribers:=2"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        while len(listener.attitudes) < 200:
+            executor.spin_once(timeout_sec=0.1)
+        cpu, count = _cpu_seconds(node.pid), len(listener.attitudes)
+        while replay.poll() is None:
+            executor.spin_once(timeout_sec=0.1)
+        cpu, count = _cpu_seconds(node.pid) - cpu, len(listener.attitudes) - count
+        deadline = time.monotonic() + 1.0
+        while time.monotonic() < deadline:
+            executor.spin_once(timeout_sec=0.1)
+    finally:
+        for process in (node, replay):
+            process.terminate()
+            process.wait()
+    latency = listener.latency() * 1e3
+    return {"cpu_us_per_message": cpu / count * 1e6, "latency_ms_p50": float(np.percentile(latency, 50)),
+            "latency_ms_p99": float(np.percentile(latency, 99)),
+            "lost": len(listener.sent_at) - len(listener.attitudes)}
+
+
+def _cpu_seconds(pid):
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def bench_offline():
+    """Speed of estimate_bag beside rosbags reading the same messages raw."""
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / "bag"
+        recording = simulate("turn", duration=OFFLINE_SECONDS, imu_rate=200.0)
+        types, messages = recorded_messages(recording)
+        with BagWriter(bag, types) as writer:
+            for message in messages:
+                writer.write(*message)
+
+        def read():
+            with Reader(bag) as reader:
+                for _ in reader.messages():
+                    pass
+
+        def estimate():
+            estimate.runs += 1
+            estimate_bag(bag, Path(folder) / f"out{estimate.runs}", AttitudeNodeParams(), TOPICS)
+
+        estimate.runs = 0
+        times = times_in_turn({"rosbags reads": read, "estimate_bag": estimate}, len(messages))
+    print_table("offline: microseconds per message", times, "rosbags reads")
+    share = times["rosbags reads"] / times["estimate_bag"]
+    seconds = times["estimate_bag"] * 1e-6 * len(messages)
+    print(f"estimate_bag runs at {share:.0%} of the speed of reading alone (asked for: 30%), "
+          f"{OFFLINE_SECONDS / seconds:.0f} times real time\n")
+    return {"us_per_message": times, "share_of_reading": share}
