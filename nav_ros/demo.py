@@ -164,7 +164,7 @@ def replay_and_listen(bag, expected, rate, folder, progress):
         cleanup.callback(replay.end)
 
         progress.tell("waiting for attitude_node (its first start compiles the kernels, about a minute)")
-        _listen(executor, [attitude, replay], lambda: listener.attitudes, PATIENCE, "no attitude")
+        _wait_for_attitude(executor, listener, attitude, replay)
         cpu_start, count_start = attitude.cpu_time(), len(listener.attitudes)
         while replay.status is None:
             share = len(listener.attitudes) / expected
@@ -176,13 +176,13 @@ def replay_and_listen(bag, expected, rate, folder, progress):
         return listener, (attitude.cpu_time() - cpu_start) / max(handled, 1)
 
 
-def _listen(executor, processes, until, patience, complaint):
-    deadline = time.monotonic() + patience
-    while not until():
-        _spin(executor, processes, 0.2)
-        if time.monotonic() > deadline:
-            said = "\n".join(f"{process.name}: {process.said}" for process in processes)
-            raise DemoError(f"{complaint} within {patience:g} s; the processes said:\n{said}")
+def _wait_for_attitude(executor, listener, attitude, replay):
+    deadline = time.monotonic() + PATIENCE
+    while not listener.attitudes:
+        _spin(executor, [attitude, replay], 0.2)
+        if not listener.attitudes and (replay.status is not None or time.monotonic() > deadline):
+            raise DemoError(f"no attitude came; attitude_node said:\n{attitude.said}\n"
+                            f"replay_node said:\n{replay.said}")
 
 
 def _spin(executor, processes, seconds):

@@ -203,8 +203,8 @@ def _summary(run, score):
     return (
         f"The vehicle rolls from {roll.min():.0f} to {roll.max():.0f} deg and pitches from "
         f"{pitch.min():.0f} to {pitch.max():.0f} deg. The filter starts knowing nothing, has an attitude "
-        f"after {start:.1f} s and then stays within {score.tilt_rms_deg:.2f} deg RMS of the true vertical; its "
-        "own sigma is "
+        f"after {start:.1f} s and then stays within {score.tilt_rms_deg:.2f} deg RMS of the true vertical; "
+        "its own sigma is "
         f"{score.median_sigma_deg:.2f} deg in the median. The error was inside of three times that sigma "
         f"{score.coverage_3sigma:.1%} of the time.")
 
