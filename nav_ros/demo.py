@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
@@ -36,6 +37,8 @@ RATE = 2.0  # times real time: 400 Hz of a 200 Hz bag
 PATIENCE = 180.0  # s for the start, which may have kernels to compile
 QUIET = 1.0  # s without a message after the end of the replay
 FAREWELL = 5.0  # s for a process to end after SIGINT
+# Every event handler and service would be looked at for each message.
+NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 QUEUE = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -90,9 +93,9 @@ class Listener:
 
     def __init__(self, node):
         self.sent_at, self.received_at, self.attitudes = {}, {}, []
-        # Made first, so that of two waiting messages the input is seen before its answer.
-        node.create_subscription(Imu, "imu/data_raw", self._on_input, QUEUE, raw=True)
-        node.create_subscription(Imu, "imu/data", self._on_output, QUEUE, raw=True)
+        # The input first: of two waiting messages it is seen before its answer.
+        for topic, callback in (("imu/data_raw", self._on_input), ("imu/data", self._on_output)):
+            node.create_subscription(Imu, topic, callback, QUEUE, raw=True, event_callbacks=NO_EVENTS)
 
     def _on_input(self, raw):
         self.sent_at[raw[4:12]] = time.monotonic()
@@ -151,7 +154,7 @@ def replay_and_listen(bag, expected, rate, folder, progress):
     with contextlib.ExitStack() as cleanup:
         rclpy.init()
         cleanup.callback(rclpy.try_shutdown)
-        node = rclpy.create_node("attitude_demo")
+        node = rclpy.create_node("attitude_demo", enable_rosout=False, start_parameter_services=False)
         cleanup.callback(node.destroy_node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
