@@ -62,15 +62,7 @@ PARAMETER_NAMES = (
     "altitude_std", "altitude_drift_density", "altitude_scale_error", "altitude_delay",
     "altitude_gate", "altitude_step_gate",
     "gyro_range", "accel_range", "altitude_buffer", "gap_limit")
-(P_MODEL, P_GRAVITY, P_EARTH_RATE_DOWN,
- P_GYRO_NOISE, P_GYRO_RATE_ERROR, P_ACCEL_NOISE, P_ACCEL_FORCE_ERROR,
- P_GYRO_BIAS_STD, P_GYRO_BIAS_WALK, P_ACCEL_BIAS_STD, P_ACCEL_BIAS_TIME,
- P_GRAVITY_TIME, P_GRAVITY_FLOOR, P_GRAVITY_SHARE, P_GRAVITY_DECAY,
- P_NORM_SHARE, P_NORM_MARGIN, P_START_STD, P_BIAS_SHARE,
- P_REST_GYRO_STD, P_REST_ACCEL_STD,
- P_ALT_STD, P_ALT_DRIFT, P_ALT_SCALE_ERROR, P_ALT_DELAY,
- P_ALT_GATE, P_ALT_STEP_GATE,
- P_GYRO_RANGE, P_ACCEL_RANGE, P_ALT_BUFFER, P_GAP_LIMIT) = range(len(PARAMETER_NAMES))
+
 
 # One row of output.
 (OUT_VALID, OUT_Q, OUT_TILT_COV, OUT_YAW_VAR, OUT_DOWN, OUT_VD, OUT_ALT, OUT_VD_VAR, OUT_ALT_VAR,
@@ -103,6 +95,15 @@ SNAPSHOTS = 16
 (M_STATE, M_PARAMETERS, M_OUT, M_INTS, M_ALTITUDES, M_HISTORY, M_SNAPSHOTS, MEMORY_SIZE) = _offsets(
     ARRAY_SIZE, len(PARAMETER_NAMES), OUT_SIZE, I_SIZE, 2 * ALTITUDES, HISTORY * H_SIZE,
     HISTORY // SNAPSHOTS * STATE_SIZE)
+(P_MODEL, P_GRAVITY, P_EARTH_RATE_DOWN,
+ P_GYRO_NOISE, P_GYRO_RATE_ERROR, P_ACCEL_NOISE, P_ACCEL_FORCE_ERROR,
+ P_GYRO_BIAS_STD, P_GYRO_BIAS_WALK, P_ACCEL_BIAS_STD, P_ACCEL_BIAS_TIME,
+ P_GRAVITY_TIME, P_GRAVITY_FLOOR, P_GRAVITY_SHARE, P_GRAVITY_DECAY,
+ P_NORM_SHARE, P_NORM_MARGIN, P_START_STD, P_BIAS_SHARE,
+ P_REST_GYRO_STD, P_REST_ACCEL_STD,
+ P_ALT_STD, P_ALT_DRIFT, P_ALT_SCALE_ERROR, P_ALT_DELAY,
+ P_ALT_GATE, P_ALT_STEP_GATE,
+ P_GYRO_RANGE, P_ACCEL_RANGE, P_ALT_BUFFER, P_GAP_LIMIT) = range(M_PARAMETERS, M_OUT)
 
 ACTION_USE, ACTION_SKIP, ACTION_RESET = range(3)  # what to do with a sample of a recording
 OLD, STALE, FRESH = range(3)  # what became of a sample: not later than the last, no output, output
@@ -131,76 +132,76 @@ UNKNOWN_ACCEL_STD = 2.0  # m/s^2, spread of the acceleration while the force is 
 
 
 @njit(cache=True)
-def initialise(s, p):
+def initialise(m):
     """Start blind: no down direction, priors on the biases."""
-    s[:] = 0.0
-    n = N if p[P_MODEL] == 0.0 else N5
+    m[:ARRAY_SIZE] = 0.0
+    n = N if m[P_MODEL] == 0.0 else N5
     for i in range(3):
-        s[P + (n + 1) * i] = 1.0 / 3.0
-    s[P + (n + 1) * VD] = VD_STD**2
-    s[P + (n + 1) * ALT] = ALT_START_STD**2
+        m[P + (n + 1) * i] = 1.0 / 3.0
+    m[P + (n + 1) * VD] = VD_STD**2
+    m[P + (n + 1) * ALT] = ALT_START_STD**2
     if n == N:
         for i in range(3):
-            s[P + (N + 1) * (BG + i)] = p[P_GYRO_BIAS_STD] ** 2
-            s[P + (N + 1) * (BA + i)] = p[P_ACCEL_BIAS_STD] ** 2
+            m[P + (N + 1) * (BG + i)] = m[P_GYRO_BIAS_STD] ** 2
+            m[P + (N + 1) * (BA + i)] = m[P_ACCEL_BIAS_STD] ** 2
 
 
 @njit(cache=True)
-def restart(s, p, gap):
-    """Start blind after a gap (s), but keep what is known of the biases."""
-    kept = s[X + BG:X + N].copy()
+def restart(m, gap):
+    """Start blind after a gap (m), but keep what is known of the biases."""
+    kept = m[X + BG:X + N].copy()
     block = np.empty((6, 6))
     for i in range(6):
         for j in range(6):
-            block[i, j] = s[P + N * (BG + i) + BG + j]
-    model = p[P_MODEL]
-    initialise(s, p)
+            block[i, j] = m[P + N * (BG + i) + BG + j]
+    model = m[P_MODEL]
+    initialise(m)
     if model == 0.0:
-        s[X + BG:X + N] = kept
+        m[X + BG:X + N] = kept
         for i in range(6):
             for j in range(6):
-                s[P + N * (BG + i) + BG + j] = block[i, j]
+                m[P + N * (BG + i) + BG + j] = block[i, j]
         for i in range(3):
             k = P + (N + 1) * (BG + i)
-            s[k] = min(s[k] + gap * p[P_GYRO_BIAS_WALK] ** 2, max(s[k], p[P_GYRO_BIAS_STD] ** 2))
+            m[k] = min(m[k] + gap * m[P_GYRO_BIAS_WALK] ** 2, max(m[k], m[P_GYRO_BIAS_STD] ** 2))
 
 
 # --- the default filter -----------------------------------------------------------------------------
 
 
 @njit(cache=True)
-def _carry_covariance(s, r, jv, jh, c, dt, decay):
+def _carry_covariance(m, r, jv, jh, c, dt, decay):
     """Replace P by F P F^T; r is R^T by rows, c the propagated down direction.
 
     F changes the first five states only, but for the decay of the accelerometer bias: first F's rows
     times P, in place, column by column, then that times F^T, row by row, and its mirror image.
     """
     for j in range(P, P + N):
-        c0, c1, c2, v = s[j], s[j + N], s[j + 2 * N], s[j + VD * N]
-        b0, b1, b2 = dt * s[j + BG * N], dt * s[j + (BG + 1) * N], dt * s[j + (BG + 2) * N]
-        s[j + ALT * N] -= dt * v + jh[0] * c0 + jh[1] * c1 + jh[2] * c2
-        s[j + VD * N] = (v + jv[0] * c0 + jv[1] * c1 + jv[2] * c2 - dt * (
-            c[0] * s[j + BA * N] + c[1] * s[j + (BA + 1) * N] + c[2] * s[j + (BA + 2) * N]))
-        s[j] = r[0] * c0 + r[1] * c1 + r[2] * c2 + c[2] * b1 - c[1] * b2
-        s[j + N] = r[3] * c0 + r[4] * c1 + r[5] * c2 + c[0] * b2 - c[2] * b0
-        s[j + 2 * N] = r[6] * c0 + r[7] * c1 + r[8] * c2 + c[1] * b0 - c[0] * b1
+        c0, c1, c2, v = m[j], m[j + N], m[j + 2 * N], m[j + VD * N]
+        b0, b1, b2 = dt * m[j + BG * N], dt * m[j + (BG + 1) * N], dt * m[j + (BG + 2) * N]
+        m[j + ALT * N] -= dt * v + jh[0] * c0 + jh[1] * c1 + jh[2] * c2
+        m[j + VD * N] = (v + jv[0] * c0 + jv[1] * c1 + jv[2] * c2 - dt * (
+            c[0] * m[j + BA * N] + c[1] * m[j + (BA + 1) * N] + c[2] * m[j + (BA + 2) * N]))
+        m[j] = r[0] * c0 + r[1] * c1 + r[2] * c2 + c[2] * b1 - c[1] * b2
+        m[j + N] = r[3] * c0 + r[4] * c1 + r[5] * c2 + c[0] * b2 - c[2] * b0
+        m[j + 2 * N] = r[6] * c0 + r[7] * c1 + r[8] * c2 + c[1] * b0 - c[0] * b1
     for i in range(P, P + N * BG, N):
-        c0, c1, c2, v = s[i], s[i + 1], s[i + 2], s[i + VD]
-        b0, b1, b2 = dt * s[i + BG], dt * s[i + BG + 1], dt * s[i + BG + 2]
-        s[i + ALT] -= dt * v + jh[0] * c0 + jh[1] * c1 + jh[2] * c2
-        s[i + VD] = (v + jv[0] * c0 + jv[1] * c1 + jv[2] * c2
-                     - dt * (c[0] * s[i + BA] + c[1] * s[i + BA + 1] + c[2] * s[i + BA + 2]))
-        s[i] = r[0] * c0 + r[1] * c1 + r[2] * c2 + c[2] * b1 - c[1] * b2
-        s[i + 1] = r[3] * c0 + r[4] * c1 + r[5] * c2 + c[0] * b2 - c[2] * b0
-        s[i + 2] = r[6] * c0 + r[7] * c1 + r[8] * c2 + c[1] * b0 - c[0] * b1
+        c0, c1, c2, v = m[i], m[i + 1], m[i + 2], m[i + VD]
+        b0, b1, b2 = dt * m[i + BG], dt * m[i + BG + 1], dt * m[i + BG + 2]
+        m[i + ALT] -= dt * v + jh[0] * c0 + jh[1] * c1 + jh[2] * c2
+        m[i + VD] = (v + jv[0] * c0 + jv[1] * c1 + jv[2] * c2
+                     - dt * (c[0] * m[i + BA] + c[1] * m[i + BA + 1] + c[2] * m[i + BA + 2]))
+        m[i] = r[0] * c0 + r[1] * c1 + r[2] * c2 + c[2] * b1 - c[1] * b2
+        m[i + 1] = r[3] * c0 + r[4] * c1 + r[5] * c2 + c[0] * b2 - c[2] * b0
+        m[i + 2] = r[6] * c0 + r[7] * c1 + r[8] * c2 + c[1] * b0 - c[0] * b1
     for i in range(BA, N):
         for j in range(N):
-            s[P + N * j + i] *= decay
+            m[P + N * j + i] *= decay
         for j in range(BG, N):
-            s[P + N * i + j] *= decay
+            m[P + N * i + j] *= decay
     for i in range(BG):
         for j in range(i + 1, N):
-            s[P + N * j + i] = s[P + N * i + j]
+            m[P + N * j + i] = m[P + N * i + j]
 
 
 @njit(cache=True)
@@ -224,451 +225,454 @@ def _motion(dt, wx, wy, wz, fx, fy, fz):
 
 
 @njit(cache=True)
-def _carry_mean(s, dt, g, r, jv, jh):
+def _carry_mean(m, dt, g, r, jv, jh):
     """Carry down direction, velocity and altitude; return the new down direction."""
-    c0, c1, c2 = s[X], s[X + 1], s[X + 2]
-    s[X + ALT] -= dt * s[X + VD] + jh[0] * c0 + jh[1] * c1 + jh[2] * c2 + 0.5 * dt * dt * g
-    s[X + VD] += jv[0] * c0 + jv[1] * c1 + jv[2] * c2 + dt * g
-    s[X] = r[0] * c0 + r[1] * c1 + r[2] * c2
-    s[X + 1] = r[3] * c0 + r[4] * c1 + r[5] * c2
-    s[X + 2] = r[6] * c0 + r[7] * c1 + r[8] * c2
-    return s[X], s[X + 1], s[X + 2]
+    c0, c1, c2 = m[X], m[X + 1], m[X + 2]
+    m[X + ALT] -= dt * m[X + VD] + jh[0] * c0 + jh[1] * c1 + jh[2] * c2 + 0.5 * dt * dt * g
+    m[X + VD] += jv[0] * c0 + jv[1] * c1 + jv[2] * c2 + dt * g
+    m[X] = r[0] * c0 + r[1] * c1 + r[2] * c2
+    m[X + 1] = r[3] * c0 + r[4] * c1 + r[5] * c2
+    m[X + 2] = r[6] * c0 + r[7] * c1 + r[8] * c2
+    return m[X], m[X + 1], m[X + 2]
 
 
 @njit(cache=True)
-def row_predict(s, p, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
-    """Carry the default filter over dt (s) of constant rate and force, biases not yet removed.
+def row_predict(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
+    """Carry the default filter over dt (m) of constant rate and force, biases not yet removed.
 
     gyro_var (rad^2) and accel_var (m^2/s^2) are variances that this interval adds to the angles and to
     the velocity because part of the sample is lost, held or clipped.
     """
-    down_rate = p[P_EARTH_RATE_DOWN]
-    wx -= s[X + BG] + down_rate * s[X]
-    wy -= s[X + BG + 1] + down_rate * s[X + 1]
-    wz -= s[X + BG + 2] + down_rate * s[X + 2]
-    fx -= s[X + BA]
-    fy -= s[X + BA + 1]
-    fz -= s[X + BA + 2]
-    g = p[P_GRAVITY]
+    down_rate = m[P_EARTH_RATE_DOWN]
+    wx -= m[X + BG] + down_rate * m[X]
+    wy -= m[X + BG + 1] + down_rate * m[X + 1]
+    wz -= m[X + BG + 2] + down_rate * m[X + 2]
+    fx -= m[X + BA]
+    fy -= m[X + BA + 1]
+    fz -= m[X + BA + 2]
+    g = m[P_GRAVITY]
     r, jv, jh = _motion(dt, wx, wy, wz, fx, fy, fz)
-    c = _carry_mean(s, dt, g, r, jv, jh)
-    decay = max(1.0 - dt / p[P_ACCEL_BIAS_TIME], 0.0)
+    c = _carry_mean(m, dt, g, r, jv, jh)
+    decay = max(1.0 - dt / m[P_ACCEL_BIAS_TIME], 0.0)
     for i in range(3):
-        s[X + BA + i] *= decay
-    _carry_covariance(s, r, jv, jh, c, dt, decay)
+        m[X + BA + i] *= decay
+    _carry_covariance(m, r, jv, jh, c, dt, decay)
     rate2 = wx * wx + wy * wy + wz * wz
     accel2 = (fx + g * c[0]) ** 2 + (fy + g * c[1]) ** 2 + (fz + g * c[2]) ** 2
-    q_angle = dt * (p[P_GYRO_NOISE] ** 2 + p[P_GYRO_RATE_ERROR] ** 2 * rate2) + gyro_var
-    q_vd = dt * (p[P_ACCEL_NOISE] ** 2 + p[P_ACCEL_FORCE_ERROR] ** 2 * accel2) + accel_var
-    _add_multiplicative_noise(s, N, c, q_angle, q_vd)
-    s[P + (N + 1) * ALT] += dt * (p[P_ALT_DRIFT] ** 2 + (p[P_ALT_SCALE_ERROR] * s[X + VD]) ** 2)
+    q_angle = dt * (m[P_GYRO_NOISE] ** 2 + m[P_GYRO_RATE_ERROR] ** 2 * rate2) + gyro_var
+    q_vd = dt * (m[P_ACCEL_NOISE] ** 2 + m[P_ACCEL_FORCE_ERROR] ** 2 * accel2) + accel_var
+    _add_multiplicative_noise(m, N, c, q_angle, q_vd)
+    m[P + (N + 1) * ALT] += dt * (m[P_ALT_DRIFT] ** 2 + (m[P_ALT_SCALE_ERROR] * m[X + VD]) ** 2)
     for i in range(3):
-        s[P + (N + 1) * (BG + i)] += dt * p[P_GYRO_BIAS_WALK] ** 2
-        s[P + (N + 1) * (BA + i)] += 2.0 * dt / p[P_ACCEL_BIAS_TIME] * p[P_ACCEL_BIAS_STD] ** 2
+        m[P + (N + 1) * (BG + i)] += dt * m[P_GYRO_BIAS_WALK] ** 2
+        m[P + (N + 1) * (BA + i)] += 2.0 * dt / m[P_ACCEL_BIAS_TIME] * m[P_ACCEL_BIAS_STD] ** 2
     return r, c
 
 
 @njit(cache=True)
-def _add_multiplicative_noise(s, n, c, q_angle, q_vd):
+def _add_multiplicative_noise(m, n, c, q_angle, q_vd):
     """Add the covariance of G(x) w: with M = c c^T + Pcc, q (tr M I - M) on c and q tr M on vd."""
-    trace = (s[P] + s[P + n + 1] + s[P + 2 * (n + 1)] + c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
+    trace = (m[P] + m[P + n + 1] + m[P + 2 * (n + 1)] + c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
     for i in range(3):
         for j in range(3):
-            s[P + n * i + j] -= q_angle * (c[i] * c[j] + s[P + n * i + j])
-        s[P + (n + 1) * i] += q_angle * trace
-    s[P + (n + 1) * VD] += q_vd * trace
+            m[P + n * i + j] -= q_angle * (c[i] * c[j] + m[P + n * i + j])
+        m[P + (n + 1) * i] += q_angle * trace
+    m[P + (n + 1) * VD] += q_vd * trace
 
 
 @njit(cache=True)
-def _rotate(s, at, stride, r, keep):
+def _rotate(m, at, stride, r, keep):
     """Replace the vector whose components lie `stride` apart by keep R^T times it."""
-    v0, v1, v2 = keep * s[at], keep * s[at + stride], keep * s[at + 2 * stride]
-    s[at] = r[0] * v0 + r[1] * v1 + r[2] * v2
-    s[at + stride] = r[3] * v0 + r[4] * v1 + r[5] * v2
-    s[at + 2 * stride] = r[6] * v0 + r[7] * v1 + r[8] * v2
+    v0, v1, v2 = keep * m[at], keep * m[at + stride], keep * m[at + 2 * stride]
+    m[at] = r[0] * v0 + r[1] * v1 + r[2] * v2
+    m[at + stride] = r[3] * v0 + r[4] * v1 + r[5] * v2
+    m[at + 2 * stride] = r[6] * v0 + r[7] * v1 + r[8] * v2
 
 
 @njit(cache=True)
-def _carry_gravity(s, p, dt, r, c, fx, fy, fz, force_known):
+def _carry_gravity(m, dt, r, c, fx, fy, fz, force_known):
     """Low-pass the raw force in the frame that the gyro carries, with its exact sensitivities."""
-    gain = max(dt / (p[P_GRAVITY_TIME] + dt), min(1.0, dt / s[ELAPSED])) if force_known else 0.0
+    gain = max(dt / (m[P_GRAVITY_TIME] + dt), min(1.0, dt / m[ELAPSED])) if force_known else 0.0
     keep = 1.0 - gain
-    _rotate(s, GRAVITY, 1, r, keep)
+    _rotate(m, GRAVITY, 1, r, keep)
     for j in range(3):
-        _rotate(s, GRAVITY_BG + j, 3, r, keep)
-        _rotate(s, GRAVITY_BA + j, 3, r, keep)
-        s[GRAVITY_BA + 4 * j] += gain
+        _rotate(m, GRAVITY_BG + j, 3, r, keep)
+        _rotate(m, GRAVITY_BA + j, 3, r, keep)
+        m[GRAVITY_BA + 4 * j] += gain
     k = keep * dt
-    s[GRAVITY_BG + 1] -= k * c[2]
-    s[GRAVITY_BG + 2] += k * c[1]
-    s[GRAVITY_BG + 3] += k * c[2]
-    s[GRAVITY_BG + 5] -= k * c[0]
-    s[GRAVITY_BG + 6] -= k * c[1]
-    s[GRAVITY_BG + 7] += k * c[0]
-    s[GRAVITY] += gain * fx
-    s[GRAVITY + 1] += gain * fy
-    s[GRAVITY + 2] += gain * fz
+    m[GRAVITY_BG + 1] -= k * c[2]
+    m[GRAVITY_BG + 2] += k * c[1]
+    m[GRAVITY_BG + 3] += k * c[2]
+    m[GRAVITY_BG + 5] -= k * c[0]
+    m[GRAVITY_BG + 6] -= k * c[1]
+    m[GRAVITY_BG + 7] += k * c[0]
+    m[GRAVITY] += gain * fx
+    m[GRAVITY + 1] += gain * fy
+    m[GRAVITY + 2] += gain * fz
 
 
 @njit(cache=True)
-def _row_update(s, p, variance, innovation, share):
-    """Scalar Kalman update with the covariance row in PH; the accelerometer bias takes `share` of its gain (Schmidt)."""
+def _row_update(m, variance, innovation, share):
+    """Scalar Kalman update by the covariances in PH; the accelerometer bias takes `share` of its gain.
+
+    (Schmidt's partial update, so the covariance stays that of the gain that is used.)
+    """
     inv = 1.0 / variance
     gain = innovation * inv
     for j in range(3):
-        d = p[P_GRAVITY] * gain * s[PH + BG + j]
+        d = m[P_GRAVITY] * gain * m[PH + BG + j]
         for i in range(3):
-            s[GRAVITY + i] += s[GRAVITY_BG + 3 * i + j] * d
+            m[GRAVITY + i] += m[GRAVITY_BG + 3 * i + j] * d
     for i in range(BA):
-        s[X + i] += gain * s[PH + i]
-        k = inv * s[PH + i]
+        m[X + i] += gain * m[PH + i]
+        k = inv * m[PH + i]
         for j in range(N):
-            s[P + N * i + j] -= k * s[PH + j]
+            m[P + N * i + j] -= k * m[PH + j]
     both = 1.0 - (1.0 - share) ** 2
     for i in range(BA, N):
-        s[X + i] += share * gain * s[PH + i]
-        k = inv * s[PH + i]
+        m[X + i] += share * gain * m[PH + i]
+        k = inv * m[PH + i]
         for j in range(BA):
-            s[P + N * i + j] -= k * s[PH + j]
+            m[P + N * i + j] -= k * m[PH + j]
         for j in range(BA, N):
-            s[P + N * i + j] -= both * k * s[PH + j]
+            m[P + N * i + j] -= both * k * m[PH + j]
 
 
 @njit(cache=True)
-def _project_rows(s, n, u, inv):
+def _project_rows(m, n, u, inv):
     """Replace the first three rows of P by (I - u u^T) inv times them."""
     for j in range(n):
-        c0, c1, c2 = s[P + j], s[P + n + j], s[P + 2 * n + j]
+        c0, c1, c2 = m[P + j], m[P + n + j], m[P + 2 * n + j]
         along = u[0] * c0 + u[1] * c1 + u[2] * c2
-        s[P + j] = inv * (c0 - u[0] * along)
-        s[P + n + j] = inv * (c1 - u[1] * along)
-        s[P + 2 * n + j] = inv * (c2 - u[2] * along)
+        m[P + j] = inv * (c0 - u[0] * along)
+        m[P + n + j] = inv * (c1 - u[1] * along)
+        m[P + 2 * n + j] = inv * (c2 - u[2] * along)
 
 
 @njit(cache=True)
-def _normalise(s, n):
+def _normalise(m, n):
     """Once the direction is known, bring it to unit length and P to its tangent plane."""
-    trace = s[P] + s[P + n + 1] + s[P + 2 * (n + 1)]
-    norm = math.sqrt(s[X] ** 2 + s[X + 1] ** 2 + s[X + 2] ** 2)
+    trace = m[P] + m[P + n + 1] + m[P + 2 * (n + 1)]
+    norm = math.sqrt(m[X] ** 2 + m[X + 1] ** 2 + m[X + 2] ** 2)
     if trace >= ATTITUDE_TRACE or norm <= ATTITUDE_NORM:
         if trace >= LOST_TRACE:
-            s[ATTITUDE] = 0.0
+            m[ATTITUDE] = 0.0
         return
-    u = (s[X] / norm, s[X + 1] / norm, s[X + 2] / norm)
-    _project_rows(s, n, u, 1.0 / norm)
+    u = (m[X] / norm, m[X + 1] / norm, m[X + 2] / norm)
+    _project_rows(m, n, u, 1.0 / norm)
     for i in range(n):
-        c0, c1, c2 = s[P + n * i], s[P + n * i + 1], s[P + n * i + 2]
+        c0, c1, c2 = m[P + n * i], m[P + n * i + 1], m[P + n * i + 2]
         along = u[0] * c0 + u[1] * c1 + u[2] * c2
-        s[P + n * i] = (c0 - u[0] * along) / norm
-        s[P + n * i + 1] = (c1 - u[1] * along) / norm
-        s[P + n * i + 2] = (c2 - u[2] * along) / norm
+        m[P + n * i] = (c0 - u[0] * along) / norm
+        m[P + n * i + 1] = (c1 - u[1] * along) / norm
+        m[P + n * i + 2] = (c2 - u[2] * along) / norm
     for i in range(n):
         for j in range(i):
-            mean = 0.5 * (s[P + n * i + j] + s[P + n * j + i])
-            s[P + n * i + j] = mean
-            s[P + n * j + i] = mean
-    s[X], s[X + 1], s[X + 2] = u
-    _level_north(s)
+            mean = 0.5 * (m[P + n * i + j] + m[P + n * j + i])
+            m[P + n * i + j] = mean
+            m[P + n * j + i] = mean
+    m[X], m[X + 1], m[X + 2] = u
+    _level_north(m)
 
 
 @njit(cache=True)
-def _level_north(s):
+def _level_north(m):
     """Keep the yaw's zero level; where an attitude is first known the nose points east (REP-103)."""
-    if s[ATTITUDE] == 0.0:
-        s[ATTITUDE] = 1.0
-        steep = abs(s[X]) > 0.99
-        s[NORTH] = -s[X + 1] if steep else 0.0
-        s[NORTH + 1] = s[X] if steep else -s[X + 2]
-        s[NORTH + 2] = 0.0 if steep else s[X + 1]
-    along = s[X] * s[NORTH] + s[X + 1] * s[NORTH + 1] + s[X + 2] * s[NORTH + 2]
+    if m[ATTITUDE] == 0.0:
+        m[ATTITUDE] = 1.0
+        steep = abs(m[X]) > 0.99
+        m[NORTH] = -m[X + 1] if steep else 0.0
+        m[NORTH + 1] = m[X] if steep else -m[X + 2]
+        m[NORTH + 2] = 0.0 if steep else m[X + 1]
+    along = m[X] * m[NORTH] + m[X + 1] * m[NORTH + 1] + m[X + 2] * m[NORTH + 2]
     norm2 = 0.0
     for i in range(3):
-        s[NORTH + i] -= along * s[X + i]
-        norm2 += s[NORTH + i] ** 2
+        m[NORTH + i] -= along * m[X + i]
+        norm2 += m[NORTH + i] ** 2
     for i in range(3):
-        s[NORTH + i] /= math.sqrt(norm2)
+        m[NORTH + i] /= math.sqrt(norm2)
 
 
 @njit(cache=True)
-def _gravity_variance(s, p, elapsed):
+def _gravity_variance(m, elapsed):
     """Variance of one gravity component: how much the low-passed force may be acceleration."""
-    g, t = p[P_GRAVITY], s[ELAPSED]
+    g, t = m[P_GRAVITY], m[ELAPSED]
     residual = 0.0
     norm2 = 0.0
     for i in range(3):
-        y = s[GRAVITY + i] + g * s[X + i]
+        y = m[GRAVITY + i] + g * m[X + i]
         for j in range(3):
-            y -= s[GRAVITY_BA + 3 * i + j] * s[X + BA + j]
+            y -= m[GRAVITY_BA + 3 * i + j] * m[X + BA + j]
         residual += y * y
-        norm2 += s[GRAVITY + i] ** 2
-    fall = max(elapsed / (p[P_GRAVITY_DECAY] + elapsed), min(1.0, 2.0 * elapsed / t))
-    s[RESIDUAL] = max(residual, s[RESIDUAL] + fall * (residual - s[RESIDUAL]))
+        norm2 += m[GRAVITY + i] ** 2
+    fall = max(elapsed / (m[P_GRAVITY_DECAY] + elapsed), min(1.0, 2.0 * elapsed / t))
+    m[RESIDUAL] = max(residual, m[RESIDUAL] + fall * (residual - m[RESIDUAL]))
     slow = max(elapsed / (NORM_TIME + elapsed), min(1.0, elapsed / t))
-    s[NORM_EXCESS] += slow * (norm2 - g * g - s[NORM_EXCESS])
-    s[FREE_FALL] = 1.0 if norm2 < (FREE_FALL_SHARE * g) ** 2 else 0.0
-    if s[REST] >= REST_TIME:
-        return p[P_REST_ACCEL_STD] ** 2 * max(1.0, 1.0 / elapsed)
-    excess = max(s[NORM_EXCESS] - 2.0 * g * p[P_NORM_MARGIN], 0.0)
-    variance = (p[P_GRAVITY_FLOOR] ** 2 + p[P_GRAVITY_SHARE] ** 2 * s[RESIDUAL]
-                + p[P_NORM_SHARE] ** 2 * excess + p[P_START_STD] ** 2 / (1.0 + 4.0 * t * t))
-    return variance * max(1.0, 2.0 * min(p[P_GRAVITY_TIME], t) / elapsed)
+    m[NORM_EXCESS] += slow * (norm2 - g * g - m[NORM_EXCESS])
+    m[FREE_FALL] = 1.0 if norm2 < (FREE_FALL_SHARE * g) ** 2 else 0.0
+    if m[REST] >= REST_TIME:
+        return m[P_REST_ACCEL_STD] ** 2 * max(1.0, 1.0 / elapsed)
+    excess = max(m[NORM_EXCESS] - 2.0 * g * m[P_NORM_MARGIN], 0.0)
+    variance = (m[P_GRAVITY_FLOOR] ** 2 + m[P_GRAVITY_SHARE] ** 2 * m[RESIDUAL]
+                + m[P_NORM_SHARE] ** 2 * excess + m[P_START_STD] ** 2 / (1.0 + 4.0 * t * t))
+    return variance * max(1.0, 2.0 * min(m[P_GRAVITY_TIME], t) / elapsed)
 
 
 @njit(cache=True)
-def row_gravity_update(s, p, elapsed):
+def row_gravity_update(m, elapsed):
     """Three scalar updates with the low-passed force; `elapsed` s since the last ones."""
-    g = p[P_GRAVITY]
-    noise = _gravity_variance(s, p, elapsed)
-    if s[FREE_FALL] == 1.0:
+    g = m[P_GRAVITY]
+    noise = _gravity_variance(m, elapsed)
+    if m[FREE_FALL] == 1.0:
         return
     for i in range(3):
         w, b = GRAVITY_BG + 3 * i, GRAVITY_BA + 3 * i
-        y = s[GRAVITY + i] + g * s[X + i]
+        y = m[GRAVITY + i] + g * m[X + i]
         for j in range(3):
-            y -= s[b + j] * s[X + BA + j]
+            y -= m[b + j] * m[X + BA + j]
         for k in range(N):
             row = P + N * k
-            s[PH + k] = -g * s[row + i]
+            m[PH + k] = -g * m[row + i]
             for j in range(3):
-                s[PH + k] += s[b + j] * s[row + BA + j] - g * s[w + j] * s[row + BG + j]
-        variance = noise - g * s[PH + i]
+                m[PH + k] += m[b + j] * m[row + BA + j] - g * m[w + j] * m[row + BG + j]
+        variance = noise - g * m[PH + i]
         for j in range(3):
-            variance += s[b + j] * s[PH + BA + j] - g * s[w + j] * s[PH + BG + j]
-        _row_update(s, p, variance, y, p[P_BIAS_SHARE])
-    if s[REST] >= REST_TIME:
-        _rest_update(s, p, elapsed)
-    _normalise(s, N)
+            variance += m[b + j] * m[PH + BA + j] - g * m[w + j] * m[PH + BG + j]
+        _row_update(m, variance, y, m[P_BIAS_SHARE])
+    if m[REST] >= REST_TIME:
+        _rest_update(m, elapsed)
+    _normalise(m, N)
 
 
 @njit(cache=True)
-def _rest_update(s, p, elapsed):
+def _rest_update(m, elapsed):
     """At rest the low-passed gyro is its bias; a component 4 sigma off is left out."""
-    noise = p[P_REST_GYRO_STD] ** 2 * max(1.0, 1.0 / elapsed)
+    noise = m[P_REST_GYRO_STD] ** 2 * max(1.0, 1.0 / elapsed)
     for i in range(3):
-        y = s[GYRO_LP + i] - s[X + BG + i]
-        variance = s[P + (N + 1) * (BG + i)] + noise
+        y = m[GYRO_LP + i] - m[X + BG + i]
+        variance = m[P + (N + 1) * (BG + i)] + noise
         if y * y < 16.0 * variance:
             for k in range(N):
-                s[PH + k] = s[P + N * k + BG + i]
-            _row_update(s, p, variance, y, 1.0)
+                m[PH + k] = m[P + N * k + BG + i]
+            _row_update(m, variance, y, 1.0)
 
 
 @njit(cache=True)
-def row_altitude_update(s, p, z, message_var, age):
+def row_altitude_update(m, z, message_var, age):
     """One altitude z (m, up), valid `age` s before the state; message_var m^2 counts when > 0."""
-    noise = message_var if message_var > 0.0 else p[P_ALT_STD] ** 2
-    _learn_altimeter(s, z, noise)
-    noise = max(noise, s[ALT_SPREAD]) + s[ALT_STEP] ** 2 / 12.0
-    noise *= max(1.0, 0.1 / max(s[SINCE_ALT], 1e-3))
-    delay = p[P_ALT_DELAY] + age
+    noise = message_var if message_var > 0.0 else m[P_ALT_STD] ** 2
+    _learn_altimeter(m, z, noise)
+    noise = max(noise, m[ALT_SPREAD]) + m[ALT_STEP] ** 2 / 12.0
+    noise *= max(1.0, 0.1 / max(m[SINCE_ALT], 1e-3))
+    delay = m[P_ALT_DELAY] + age
     for k in range(N):
-        s[PH + k] = s[P + N * k + ALT] + delay * s[P + N * k + VD]
-    variance = s[PH + ALT] + delay * s[PH + VD] + noise
-    y = z - s[X + ALT] - delay * s[X + VD]
-    opened = _open_reference(s, p, y, variance)
+        m[PH + k] = m[P + N * k + ALT] + delay * m[P + N * k + VD]
+    variance = m[PH + ALT] + delay * m[PH + VD] + noise
+    y = z - m[X + ALT] - delay * m[X + VD]
+    opened = _open_reference(m, y, variance)
     if opened < 0.0:
         return
-    s[P + (N + 1) * ALT] += opened
-    s[PH + ALT] += opened
-    _row_update(s, p, variance + opened, y, 1.0)
-    _normalise(s, N)
+    m[P + (N + 1) * ALT] += opened
+    m[PH + ALT] += opened
+    _row_update(m, variance + opened, y, 1.0)
+    _normalise(m, N)
 
 
 @njit(cache=True)
-def _learn_altimeter(s, z, noise):
+def _learn_altimeter(m, z, noise):
     """Learn the white noise from second differences and the resolution from the smallest step."""
-    step = abs(z - s[ALT_LAST])
-    if 0.0 < step < 2.0 and (s[ALT_STEP] == 0.0 or step < s[ALT_STEP]):
-        s[ALT_STEP] = step
-    if s[ALT_COUNT] >= 3.0:
-        second = z - 2.0 * s[ALT_LAST] + s[ALT_BEFORE]
-        capped = min(second * second / 6.0, 9.0 * max(s[ALT_SPREAD], noise))
-        s[ALT_SPREAD] += max(0.02, 1.0 / s[ALT_COUNT]) * (capped - s[ALT_SPREAD])
+    step = abs(z - m[ALT_LAST])
+    if 0.0 < step < 2.0 and (m[ALT_STEP] == 0.0 or step < m[ALT_STEP]):
+        m[ALT_STEP] = step
+    if m[ALT_COUNT] >= 3.0:
+        second = z - 2.0 * m[ALT_LAST] + m[ALT_BEFORE]
+        capped = min(second * second / 6.0, 9.0 * max(m[ALT_SPREAD], noise))
+        m[ALT_SPREAD] += max(0.02, 1.0 / m[ALT_COUNT]) * (capped - m[ALT_SPREAD])
 
 
 @njit(cache=True)
-def _open_reference(s, p, y, variance):
+def _open_reference(m, y, variance):
     """Variance that the height reference gets for a jump, m^2; -1 when the altitude has to wait."""
     y2 = y * y
-    if y2 <= p[P_ALT_GATE] * variance:
-        s[ALT_REFUSED] = 0.0
-        s[ALT_PERSISTENCE] += 0.3 * (y / math.sqrt(variance) - s[ALT_PERSISTENCE])
-        if s[ALT_PERSISTENCE] ** 2 > p[P_ALT_STEP_GATE] * 0.3 / 1.7:
-            s[ALT_PERSISTENCE] = 0.0
+    if y2 <= m[P_ALT_GATE] * variance:
+        m[ALT_REFUSED] = 0.0
+        m[ALT_PERSISTENCE] += 0.3 * (y / math.sqrt(variance) - m[ALT_PERSISTENCE])
+        if m[ALT_PERSISTENCE] ** 2 > m[P_ALT_STEP_GATE] * 0.3 / 1.7:
+            m[ALT_PERSISTENCE] = 0.0
             return y2
         return 0.0
-    s[ALT_REFUSED] += 1.0
-    if s[ALT_REFUSED] < 3.0:
+    m[ALT_REFUSED] += 1.0
+    if m[ALT_REFUSED] < 3.0:
         return -1.0
-    s[ALT_REFUSED] = 0.0
-    return y2 * y2 / (p[P_ALT_GATE] * variance)
+    m[ALT_REFUSED] = 0.0
+    return y2 * y2 / (m[P_ALT_GATE] * variance)
 
 
 # --- the paper's filter -----------------------------------------------------------------------------
 
 
 @njit(cache=True)
-def _transition5(s, r, jv, jh, dt):
+def _transition5(m, r, jv, jh, dt):
     """Replace the covariance by F times it."""
     for j in range(P, P + N5):
-        c0, c1, c2, v = s[j], s[j + N5], s[j + 2 * N5], s[j + VD * N5]
-        s[j] = r[0] * c0 + r[1] * c1 + r[2] * c2
-        s[j + N5] = r[3] * c0 + r[4] * c1 + r[5] * c2
-        s[j + 2 * N5] = r[6] * c0 + r[7] * c1 + r[8] * c2
-        s[j + VD * N5] = v + jv[0] * c0 + jv[1] * c1 + jv[2] * c2
-        s[j + ALT * N5] -= dt * v + jh[0] * c0 + jh[1] * c1 + jh[2] * c2
+        c0, c1, c2, v = m[j], m[j + N5], m[j + 2 * N5], m[j + VD * N5]
+        m[j] = r[0] * c0 + r[1] * c1 + r[2] * c2
+        m[j + N5] = r[3] * c0 + r[4] * c1 + r[5] * c2
+        m[j + 2 * N5] = r[6] * c0 + r[7] * c1 + r[8] * c2
+        m[j + VD * N5] = v + jv[0] * c0 + jv[1] * c1 + jv[2] * c2
+        m[j + ALT * N5] -= dt * v + jh[0] * c0 + jh[1] * c1 + jh[2] * c2
 
 
 @njit(cache=True)
-def row5_predict(s, p, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
-    """Carry the paper's filter over dt (s) of constant rate and force (equations 26 to 31)."""
-    down_rate = p[P_EARTH_RATE_DOWN]
-    wx -= down_rate * s[X]
-    wy -= down_rate * s[X + 1]
-    wz -= down_rate * s[X + 2]
+def row5_predict(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
+    """Carry the paper's filter over dt (m) of constant rate and force (equations 26 to 31)."""
+    down_rate = m[P_EARTH_RATE_DOWN]
+    wx -= down_rate * m[X]
+    wy -= down_rate * m[X + 1]
+    wz -= down_rate * m[X + 2]
     r, jv, jh = _motion(dt, wx, wy, wz, fx, fy, fz)
-    c = _carry_mean(s, dt, p[P_GRAVITY], r, jv, jh)
+    c = _carry_mean(m, dt, m[P_GRAVITY], r, jv, jh)
     for _ in range(2):
-        _transition5(s, r, jv, jh, dt)
+        _transition5(m, r, jv, jh, dt)
         for i in range(N5):
             for j in range(i):
                 a, b = P + N5 * i + j, P + N5 * j + i
-                s[a], s[b] = s[b], s[a]
-    _add_multiplicative_noise(s, N5, c, dt * p[P_GYRO_NOISE] ** 2 + gyro_var,
-                              dt * p[P_ACCEL_NOISE] ** 2 + accel_var)
+                m[a], m[b] = m[b], m[a]
+    _add_multiplicative_noise(m, N5, c, dt * m[P_GYRO_NOISE] ** 2 + gyro_var,
+                              dt * m[P_ACCEL_NOISE] ** 2 + accel_var)
     return r, c
 
 
 @njit(cache=True)
-def row5_altitude_update(s, p, z, message_var, age):
+def row5_altitude_update(m, z, message_var, age):
     """One altitude z (m, up), valid `age` s before the state; message_var m^2 counts when > 0."""
-    delay = p[P_ALT_DELAY] + age
+    delay = m[P_ALT_DELAY] + age
     ph = np.empty(N5)
     for k in range(N5):
-        ph[k] = s[P + N5 * k + ALT] + delay * s[P + N5 * k + VD]
-    noise = message_var if message_var > 0.0 else p[P_ALT_STD] ** 2
+        ph[k] = m[P + N5 * k + ALT] + delay * m[P + N5 * k + VD]
+    noise = message_var if message_var > 0.0 else m[P_ALT_STD] ** 2
     inv = 1.0 / (ph[ALT] + delay * ph[VD] + noise)
-    y = z - s[X + ALT] - delay * s[X + VD]
+    y = z - m[X + ALT] - delay * m[X + VD]
     for i in range(N5):
         k = inv * ph[i]
-        s[X + i] += k * y
+        m[X + i] += k * y
         for j in range(N5):
-            s[P + N5 * i + j] -= k * ph[j]
-    _normalise(s, N5)
+            m[P + N5 * i + j] -= k * ph[j]
+    _normalise(m, N5)
 
 
 # --- a sample, whatever the model -------------------------------------------------------------------
 
 
 @njit(cache=True)
-def _track(s, p, dt, wx, wy, wz, fx, fy, fz):
+def _track(m, dt, wx, wy, wz, fx, fy, fz):
     """Follow the sample's low-pass and spread, and how long the body has been at rest."""
-    gain = max(dt / (LOWPASS_TIME + dt), min(1.0, dt / s[ELAPSED]))
+    gain = max(dt / (LOWPASS_TIME + dt), min(1.0, dt / m[ELAPSED]))
     w = (wx, wy, wz)
     f = (fx, fy, fz)
     dw2 = df2 = 0.0
     turning = False
     for i in range(3):
-        s[GYRO + i] = w[i]
-        s[ACCEL + i] = f[i]
-        s[GYRO_LP + i] += gain * (w[i] - s[GYRO_LP + i])
-        s[ACCEL_LP + i] += gain * (f[i] - s[ACCEL_LP + i])
-        dw2 += (w[i] - s[GYRO_LP + i]) ** 2
-        df2 += (f[i] - s[ACCEL_LP + i]) ** 2
-        if p[P_MODEL] == 0.0:
-            bias = s[GYRO_LP + i] - s[X + BG + i]
-            turning |= bias * bias > 16.0 * (s[P + (N + 1) * (BG + i)] + p[P_REST_GYRO_STD] ** 2)
-    s[GYRO_SPREAD] += gain * (dw2 - s[GYRO_SPREAD])
-    s[ACCEL_SPREAD] += gain * (df2 - s[ACCEL_SPREAD])
+        m[GYRO + i] = w[i]
+        m[ACCEL + i] = f[i]
+        m[GYRO_LP + i] += gain * (w[i] - m[GYRO_LP + i])
+        m[ACCEL_LP + i] += gain * (f[i] - m[ACCEL_LP + i])
+        dw2 += (w[i] - m[GYRO_LP + i]) ** 2
+        df2 += (f[i] - m[ACCEL_LP + i]) ** 2
+        if m[P_MODEL] == 0.0:
+            bias = m[GYRO_LP + i] - m[X + BG + i]
+            turning |= bias * bias > 16.0 * (m[P + (N + 1) * (BG + i)] + m[P_REST_GYRO_STD] ** 2)
+    m[GYRO_SPREAD] += gain * (dw2 - m[GYRO_SPREAD])
+    m[ACCEL_SPREAD] += gain * (df2 - m[ACCEL_SPREAD])
     norm = math.sqrt(fx * fx + fy * fy + fz * fz)
     still = (dw2 < REST_GYRO**2 and df2 < REST_ACCEL**2 and not turning
-             and abs(norm - p[P_GRAVITY]) < 0.3 + 3.0 * p[P_ACCEL_BIAS_STD])
-    s[REST] = s[REST] + dt if still else 0.0
+             and abs(norm - m[P_GRAVITY]) < 0.3 + 3.0 * m[P_ACCEL_BIAS_STD])
+    m[REST] = m[REST] + dt if still else 0.0
 
 
 @njit(cache=True)
-def imu_step(s, p, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, force_known):
-    """One checked sample: the mean over the dt (s) before its stamp; rad/s and m/s^2, FRD."""
-    s[ELAPSED] += dt
-    s[SINCE_ALT] += dt
-    s[SINCE_GRAVITY] += dt
-    usual = s[INTERVAL] if s[INTERVAL] > 0.0 else dt
+def imu_step(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, force_known):
+    """One checked sample: the mean over the dt (m) before its stamp; rad/s and m/s^2, FRD."""
+    m[ELAPSED] += dt
+    m[SINCE_ALT] += dt
+    m[SINCE_GRAVITY] += dt
+    usual = m[INTERVAL] if m[INTERVAL] > 0.0 else dt
     lost = max(dt - 1.5 * usual, 0.0) * (dt - usual)
-    s[INTERVAL] = usual + 0.02 * (min(dt, 2.0 * usual) - usual)
+    m[INTERVAL] = usual + 0.02 * (min(dt, 2.0 * usual) - usual)
     if force_known:
-        _track(s, p, dt, wx, wy, wz, fx, fy, fz)
-    gyro_var += lost * s[GYRO_SPREAD] / 3.0
-    accel_var += lost * s[ACCEL_SPREAD]
-    if p[P_MODEL] == 0.0:
-        r, c = row_predict(s, p, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var)
-        _carry_gravity(s, p, dt, r, c, fx, fy, fz, force_known)
-        if s[SINCE_GRAVITY] >= GRAVITY_PERIOD - 0.25 * dt:
-            row_gravity_update(s, p, s[SINCE_GRAVITY])
-            s[SINCE_GRAVITY] = 0.0
+        _track(m, dt, wx, wy, wz, fx, fy, fz)
+    gyro_var += lost * m[GYRO_SPREAD] / 3.0
+    accel_var += lost * m[ACCEL_SPREAD]
+    if m[P_MODEL] == 0.0:
+        r, c = row_predict(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var)
+        _carry_gravity(m, dt, r, c, fx, fy, fz, force_known)
+        if m[SINCE_GRAVITY] >= GRAVITY_PERIOD - 0.25 * dt:
+            row_gravity_update(m, m[SINCE_GRAVITY])
+            m[SINCE_GRAVITY] = 0.0
     else:
-        r, c = row5_predict(s, p, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var)
-    _rotate(s, NORTH, 1, r, 1.0)
-    _grow_yaw(s, p, dt)
-    if s[P + (N + 1) * VD if p[P_MODEL] == 0.0 else P + (N5 + 1) * VD] > VD_LOST_STD**2:
-        _forget_vertical(s, p)
+        r, c = row5_predict(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var)
+    _rotate(m, NORTH, 1, r, 1.0)
+    _grow_yaw(m, dt)
+    if m[P + (N + 1) * VD if m[P_MODEL] == 0.0 else P + (N5 + 1) * VD] > VD_LOST_STD**2:
+        _forget_vertical(m)
 
 
 @njit(cache=True)
-def _grow_yaw(s, p, dt):
+def _grow_yaw(m, dt):
     """Nothing measures the yaw: its spread grows with the bias about the vertical and the noise."""
     bias_var = 0.0
-    if p[P_MODEL] == 0.0:
+    if m[P_MODEL] == 0.0:
         for i in range(3):
             for j in range(3):
-                bias_var += s[X + i] * s[X + j] * s[P + N * (BG + i) + BG + j]
-    s[YAW_STD] += dt * math.sqrt(max(bias_var, 0.0))
-    s[YAW_VAR] += dt * p[P_GYRO_NOISE] ** 2
+                bias_var += m[X + i] * m[X + j] * m[P + N * (BG + i) + BG + j]
+    m[YAW_STD] += dt * math.sqrt(max(bias_var, 0.0))
+    m[YAW_VAR] += dt * m[P_GYRO_NOISE] ** 2
 
 
 @njit(cache=True)
-def _forget_vertical(s, p):
+def _forget_vertical(m):
     """Without an altimeter the vertical channel drifts away: start it anew, uncorrelated."""
-    n = N if p[P_MODEL] == 0.0 else N5
+    n = N if m[P_MODEL] == 0.0 else N5
     for k in range(n):
         for i in range(VD, ALT + 1):
-            s[P + n * k + i] = 0.0
-            s[P + n * i + k] = 0.0
-    s[X + VD] = 0.0
-    s[P + (n + 1) * VD] = VD_STD**2
-    s[P + (n + 1) * ALT] = ALT_START_STD**2
-    s[ALT_COUNT] = 0.0
+            m[P + n * k + i] = 0.0
+            m[P + n * i + k] = 0.0
+    m[X + VD] = 0.0
+    m[P + (n + 1) * VD] = VD_STD**2
+    m[P + (n + 1) * ALT] = ALT_START_STD**2
+    m[ALT_COUNT] = 0.0
 
 
 @njit(cache=True)
-def altitude_step(s, p, z, message_var, age):
+def altitude_step(m, z, message_var, age):
     """One finite altitude; the first one is the height to start from."""
-    n = N if p[P_MODEL] == 0.0 else N5
-    s[ALT_COUNT] += 1.0
-    if s[ALT_COUNT] == 1.0:
+    n = N if m[P_MODEL] == 0.0 else N5
+    m[ALT_COUNT] += 1.0
+    if m[ALT_COUNT] == 1.0:
         for k in range(n):
-            s[P + n * k + ALT] = 0.0
-            s[P + n * ALT + k] = 0.0
-        s[P + (n + 1) * ALT] = ALT_START_STD**2
-        s[X + ALT] = z
+            m[P + n * k + ALT] = 0.0
+            m[P + n * ALT + k] = 0.0
+        m[P + (n + 1) * ALT] = ALT_START_STD**2
+        m[X + ALT] = z
     elif n == N:
-        row_altitude_update(s, p, z, message_var, age)
+        row_altitude_update(m, z, message_var, age)
     else:
-        row5_altitude_update(s, p, z, message_var, age)
-    s[ALT_BEFORE] = s[ALT_LAST]
-    s[ALT_LAST] = z
-    s[SINCE_ALT] = 0.0
+        row5_altitude_update(m, z, message_var, age)
+    m[ALT_BEFORE] = m[ALT_LAST]
+    m[ALT_LAST] = z
+    m[SINCE_ALT] = 0.0
 
 
 @njit(cache=True)
-def write_output(s, p, out):
+def write_output(m, out):
     """Fill one row of output from the state."""
-    n = N if p[P_MODEL] == 0.0 else N5
-    out[OUT_VALID] = s[ATTITUDE]
-    d0, d1, d2 = s[X], s[X + 1], s[X + 2]
+    n = N if m[P_MODEL] == 0.0 else N5
+    out[OUT_VALID] = m[ATTITUDE]
+    d0, d1, d2 = m[X], m[X + 1], m[X + 2]
     norm = math.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
     inv = 1.0 / norm if norm > 0.0 else 0.0
     d = (d0 * inv, d1 * inv, d2 * inv)
-    a = (s[NORTH], s[NORTH + 1], s[NORTH + 2])
+    a = (m[NORTH], m[NORTH + 1], m[NORTH + 2])
     along = a[0] * d[0] + a[1] * d[1] + a[2] * d[2]
     a = (a[0] - along * d[0], a[1] - along * d[1], a[2] - along * d[2])
     norm = math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
@@ -679,7 +683,7 @@ def write_output(s, p, out):
     nn = ne = ee = 0.0
     for i in range(3):
         for j in range(3):
-            cov = s[P + n * i + j]
+            cov = m[P + n * i + j]
             nn += e[i] * cov * e[j]
             ne -= a[i] * cov * e[j]
             ee += a[i] * cov * a[j]
@@ -687,20 +691,20 @@ def write_output(s, p, out):
     out[OUT_TILT_COV] = nn
     out[OUT_TILT_COV + 1] = ne
     out[OUT_TILT_COV + 2] = ee
-    out[OUT_YAW_VAR] = s[YAW_STD] ** 2 + s[YAW_VAR]
-    out[OUT_VD] = s[X + VD]
-    out[OUT_ALT] = s[X + ALT]
-    out[OUT_VD_VAR] = s[P + (n + 1) * VD]
-    out[OUT_ALT_VAR] = s[P + (n + 1) * ALT]
+    out[OUT_YAW_VAR] = m[YAW_STD] ** 2 + m[YAW_VAR]
+    out[OUT_VD] = m[X + VD]
+    out[OUT_ALT] = m[X + ALT]
+    out[OUT_VD_VAR] = m[P + (n + 1) * VD]
+    out[OUT_ALT_VAR] = m[P + (n + 1) * ALT]
     for i in range(3):
-        bg = s[X + BG + i] if n == N else 0.0
-        ba = s[X + BA + i] if n == N else 0.0
+        bg = m[X + BG + i] if n == N else 0.0
+        ba = m[X + BA + i] if n == N else 0.0
         out[OUT_BG + i] = bg
         out[OUT_BA + i] = ba
-        out[OUT_BG_VAR + i] = s[P + (N + 1) * (BG + i)] if n == N else 0.0
-        out[OUT_BA_VAR + i] = s[P + (N + 1) * (BA + i)] if n == N else 0.0
-        out[OUT_GYRO + i] = s[GYRO + i] - bg
-        out[OUT_ACCEL + i] = s[ACCEL + i] - ba
+        out[OUT_BG_VAR + i] = m[P + (N + 1) * (BG + i)] if n == N else 0.0
+        out[OUT_BA_VAR + i] = m[P + (N + 1) * (BA + i)] if n == N else 0.0
+        out[OUT_GYRO + i] = m[GYRO + i] - bg
+        out[OUT_ACCEL + i] = m[ACCEL + i] - ba
 
 
 @njit(cache=True)
@@ -728,67 +732,15 @@ def _write_quaternion(out, a, e, d):
 
 
 @njit(cache=True)
-def _parts(memory):
-    """Return state, parameters, history, snapshots, altitudes and integers as views of the memory."""
-    return (memory[M_STATE:M_PARAMETERS], memory[M_PARAMETERS:M_OUT],
-            memory[M_HISTORY:M_SNAPSHOTS].reshape((HISTORY, H_SIZE)),
-            memory[M_SNAPSHOTS:MEMORY_SIZE].reshape((HISTORY // SNAPSHOTS, STATE_SIZE)),
-            memory[M_ALTITUDES:M_HISTORY].reshape((ALTITUDES, 2)),
-            memory[M_INTS:M_ALTITUDES].view(np.int64))
+def _integers(m):
+    return m[M_INTS:M_ALTITUDES].view(np.int64)
 
 
 @njit(cache=True)
-def reset(memory):
+def reset(m):
     """Forget everything but the counters."""
-    s, p, _, _, _, ints = _parts(memory)
-    initialise(s, p)
-    _forget_history(ints)
-
-
-@njit(cache=True)
-def push_imu(memory, stamp, gyro_b, accel_b):
-    """Take one sample as it comes; the output row is in the memory where FRESH is returned."""
-    s, p, history, snapshots, altitudes, ints = _parts(memory)
-    if ints[I_STORED] > 0 and stamp <= ints[I_LAST_STAMP]:
-        return OLD
-    fresh = _take_imu(s, p, history, snapshots, altitudes, ints, stamp, gyro_b[0], gyro_b[1], gyro_b[2],
-                      accel_b[0], accel_b[1], accel_b[2])
-    if not fresh:
-        return STALE
-    write_output(s, p, memory[M_OUT:M_INTS])
-    return FRESH
-
-
-@njit(cache=True)
-def _vector_ok(counts, not_finite, out_of_range, limit, x, y, z):
-    """Check one vector of a sample and count what is wrong with it."""
-    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        counts[not_finite] += 1
-        return False
-    if max(abs(x), abs(y), abs(z)) > (2.0 - CLIP_SHARE) * limit:
-        counts[out_of_range] += 1
-        return False
-    return True
-
-
-@njit(cache=True)
-def _suspicion(s, p, counts, dt, wx, wy, wz, fx, fy, fz):
-    """Variances (rad^2, m^2/s^2) that a stuck or clipped sample adds."""
-    same = (wx == s[GYRO] and wy == s[GYRO + 1] and wz == s[GYRO + 2]
-            and fx == s[ACCEL] and fy == s[ACCEL + 1] and fz == s[ACCEL + 2])
-    s[STUCK] = s[STUCK] + dt if same else 0.0
-    gyro_var = accel_var = 0.0
-    if s[STUCK] > STUCK_TIME:
-        counts[F_STUCK] += 1
-        gyro_var += dt * STUCK_GYRO_DENSITY**2
-        accel_var += dt * STUCK_ACCEL_DENSITY**2
-    gyro_clipped = max(abs(wx), abs(wy), abs(wz)) > CLIP_SHARE * p[P_GYRO_RANGE]
-    accel_clipped = max(abs(fx), abs(fy), abs(fz)) > CLIP_SHARE * p[P_ACCEL_RANGE]
-    if gyro_clipped or accel_clipped:
-        counts[F_CLIPPED] += 1
-        gyro_var += (dt * CLIP_ERROR * p[P_GYRO_RANGE]) ** 2 if gyro_clipped else 0.0
-        accel_var += (dt * CLIP_ERROR * p[P_ACCEL_RANGE]) ** 2 if accel_clipped else 0.0
-    return gyro_var, accel_var
+    initialise(m)
+    _forget_history(_integers(m))
 
 
 @njit(cache=True)
@@ -798,151 +750,170 @@ def _forget_history(ints):
 
 
 @njit(cache=True)
-def _remember(history, ints, stamp, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, known):
-    """Write a sample into the next row of history and return the row."""
+def _vector_ok(ints, not_finite, out_of_range, limit, x, y, z):
+    """Check one vector of a sample and count what is wrong with it."""
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        ints[I_COUNTS + not_finite] += 1
+        return False
+    if max(abs(x), abs(y), abs(z)) > (2.0 - CLIP_SHARE) * limit:
+        ints[I_COUNTS + out_of_range] += 1
+        return False
+    return True
+
+
+@njit(cache=True)
+def _suspicion(m, ints, dt, wx, wy, wz, fx, fy, fz):
+    """Variances (rad^2, m^2/s^2) that a stuck or clipped sample adds."""
+    same = (wx == m[GYRO] and wy == m[GYRO + 1] and wz == m[GYRO + 2]
+            and fx == m[ACCEL] and fy == m[ACCEL + 1] and fz == m[ACCEL + 2])
+    m[STUCK] = m[STUCK] + dt if same else 0.0
+    gyro_var = accel_var = 0.0
+    if m[STUCK] > STUCK_TIME:
+        ints[I_COUNTS + F_STUCK] += 1
+        gyro_var += dt * STUCK_GYRO_DENSITY**2
+        accel_var += dt * STUCK_ACCEL_DENSITY**2
+    gyro_clipped = max(abs(wx), abs(wy), abs(wz)) > CLIP_SHARE * m[P_GYRO_RANGE]
+    accel_clipped = max(abs(fx), abs(fy), abs(fz)) > CLIP_SHARE * m[P_ACCEL_RANGE]
+    if gyro_clipped or accel_clipped:
+        ints[I_COUNTS + F_CLIPPED] += 1
+        gyro_var += (dt * CLIP_ERROR * m[P_GYRO_RANGE]) ** 2 if gyro_clipped else 0.0
+        accel_var += (dt * CLIP_ERROR * m[P_ACCEL_RANGE]) ** 2 if accel_clipped else 0.0
+    return gyro_var, accel_var
+
+
+@njit(cache=True)
+def _remember(m, ints, stamp, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, known):
+    """Write a sample into the next row of history."""
     head = (ints[I_HEAD] + 1) % HISTORY
     ints[I_HEAD] = head
     ints[I_STORED] = min(ints[I_STORED] + 1, HISTORY)
     ints[I_STAMPS + head] = stamp
     ints[I_LAST_STAMP] = stamp
-    row = history[head]
-    row[H_DT] = dt
-    row[H_SAMPLE] = wx
-    row[H_SAMPLE + 1] = wy
-    row[H_SAMPLE + 2] = wz
-    row[H_SAMPLE + 3] = fx
-    row[H_SAMPLE + 4] = fy
-    row[H_SAMPLE + 5] = fz
-    row[H_GYRO_VAR] = gyro_var
-    row[H_ACCEL_VAR] = accel_var
-    row[H_KNOWN] = known
-    return row
+    row = M_HISTORY + head * H_SIZE
+    m[row + H_DT] = dt
+    m[row + H_SAMPLE], m[row + H_SAMPLE + 1], m[row + H_SAMPLE + 2] = wx, wy, wz
+    m[row + H_SAMPLE + 3], m[row + H_SAMPLE + 4], m[row + H_SAMPLE + 5] = fx, fy, fz
+    m[row + H_GYRO_VAR] = gyro_var
+    m[row + H_ACCEL_VAR] = accel_var
+    m[row + H_KNOWN] = 1.0 if known else 0.0
 
 
 @njit(cache=True)
-def _start(s, p, history, snapshots, ints, stamp, wx, wy, wz, fx, fy, fz):
+def _keep_state(m, head):
+    """Keep the state after the remembered sample with this index, if it is one of those to keep."""
+    if head % SNAPSHOTS == 0:
+        snapshot = M_SNAPSHOTS + head // SNAPSHOTS * STATE_SIZE
+        for k in range(STATE_SIZE):
+            m[snapshot + k] = m[k]
+
+
+@njit(cache=True)
+def _start(m, ints, stamp, wx, wy, wz, fx, fy, fz):
     """Set the clock by the first good sample; altitudes back to one buffer before it count."""
-    s[GYRO], s[GYRO + 1], s[GYRO + 2] = wx, wy, wz
-    s[ACCEL], s[ACCEL + 1], s[ACCEL + 2] = fx, fy, fz
-    s[GYRO_LP:ACCEL_LP] = s[GYRO:ACCEL]
-    s[ACCEL_LP:GYRO_SPREAD] = s[ACCEL:GYRO_LP]
-    before = stamp - np.int64(p[P_ALT_BUFFER] * 1e9) - 1
-    _remember(history, ints, before, 0.0, wx, wy, wz, fx, fy, fz, 0.0, 0.0, 1.0)
-    _keep_state(s, snapshots, ints[I_HEAD])
+    for first in (GYRO, GYRO_LP):
+        m[first], m[first + 1], m[first + 2] = wx, wy, wz
+    for first in (ACCEL, ACCEL_LP):
+        m[first], m[first + 1], m[first + 2] = fx, fy, fz
+    before = stamp - np.int64(m[P_ALT_BUFFER] * 1e9) - 1
+    _remember(m, ints, before, 0.0, wx, wy, wz, fx, fy, fz, 0.0, 0.0, True)
+    _keep_state(m, ints[I_HEAD])
     ints[I_LAST_STAMP] = stamp
 
 
 @njit(cache=True)
-def _take_imu(s, p, history, snapshots, altitudes, ints, stamp, wx, wy, wz, fx, fy, fz):
+def _take_imu(m, ints, stamp, wx, wy, wz, fx, fy, fz):
     """Check a sample whose stamp (ns) is later than the last one, and step over it.
 
     Altitudes that waited for it are applied. Returns whether there is new output.
     """
-    counts = ints[I_COUNTS:I_STAMPS]
-    gyro_ok = _vector_ok(counts, F_GYRO_NOT_FINITE, F_GYRO_OUT_OF_RANGE, p[P_GYRO_RANGE], wx, wy, wz)
-    force_ok = _vector_ok(counts, F_ACCEL_NOT_FINITE, F_ACCEL_OUT_OF_RANGE, p[P_ACCEL_RANGE], fx, fy, fz)
-    if ints[I_STORED] > 0 and stamp - ints[I_LAST_STAMP] > p[P_GAP_LIMIT] * 1e9:
-        counts[F_RESTARTED] += 1
-        restart(s, p, (stamp - ints[I_LAST_STAMP]) * 1e-9)
+    gyro_ok = _vector_ok(ints, F_GYRO_NOT_FINITE, F_GYRO_OUT_OF_RANGE, m[P_GYRO_RANGE], wx, wy, wz)
+    force_ok = _vector_ok(ints, F_ACCEL_NOT_FINITE, F_ACCEL_OUT_OF_RANGE, m[P_ACCEL_RANGE], fx, fy, fz)
+    dt = (stamp - ints[I_LAST_STAMP]) * 1e-9
+    if ints[I_STORED] > 0 and dt > m[P_GAP_LIMIT]:
+        ints[I_COUNTS + F_RESTARTED] += 1
+        restart(m, dt)
         _forget_history(ints)
     if ints[I_STORED] == 0:
         if not (gyro_ok and force_ok):
             return False
-        _start(s, p, history, snapshots, ints, stamp, wx, wy, wz, fx, fy, fz)
-    dt = (stamp - ints[I_LAST_STAMP]) * 1e-9
+        _start(m, ints, stamp, wx, wy, wz, fx, fy, fz)
+        dt = 0.0
     gyro_var = accel_var = 0.0
     if gyro_ok:
-        s[HELD] = 0.0
+        m[HELD] = 0.0
     else:
-        if s[HELD] + dt > max(HOLD_TIME, 1.5 * s[INTERVAL]):
+        if m[HELD] + dt > max(HOLD_TIME, 1.5 * m[INTERVAL]):
             return False
-        s[HELD] += dt
-        wx, wy, wz = s[GYRO], s[GYRO + 1], s[GYRO + 2]
-        gyro_var = dt * dt * s[GYRO_SPREAD] / 3.0
+        m[HELD] += dt
+        wx, wy, wz = m[GYRO], m[GYRO + 1], m[GYRO + 2]
+        gyro_var = dt * dt * m[GYRO_SPREAD] / 3.0
     if not force_ok:
-        g = p[P_GRAVITY]
-        fx, fy, fz = -g * s[X], -g * s[X + 1], -g * s[X + 2]
-        accel_var = dt * dt * (s[ACCEL_SPREAD] + UNKNOWN_ACCEL_STD**2)
+        g = m[P_GRAVITY]
+        fx, fy, fz = -g * m[X], -g * m[X + 1], -g * m[X + 2]
+        accel_var = dt * dt * (m[ACCEL_SPREAD] + UNKNOWN_ACCEL_STD**2)
     known = gyro_ok and force_ok
     if known:
-        gyro_var, accel_var = _suspicion(s, p, counts, dt, wx, wy, wz, fx, fy, fz)
-    row = _remember(history, ints, stamp, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var,
-                    1.0 if known else 0.0)
-    _advance(s, p, row, altitudes, ints, stamp)
-    _keep_state(s, snapshots, ints[I_HEAD])
+        gyro_var, accel_var = _suspicion(m, ints, dt, wx, wy, wz, fx, fy, fz)
+    _remember(m, ints, stamp, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, known)
+    _advance(m, ints, ints[I_HEAD])
     return True
 
 
 @njit(cache=True)
-def _keep_state(s, snapshots, index):
-    """Keep the state after the sample with this index in the history, if it is one of those to keep."""
-    if index % SNAPSHOTS == 0:
-        for k in range(STATE_SIZE):
-            snapshots[index // SNAPSHOTS, k] = s[k]
+def _advance(m, ints, head):
+    """Step over a remembered sample, apply the altitudes up to its stamp, keep the state."""
+    row = M_HISTORY + head * H_SIZE
+    if m[row + H_DT] > 0.0:
+        imu_step(m, m[row + H_DT], m[row + H_SAMPLE], m[row + H_SAMPLE + 1], m[row + H_SAMPLE + 2],
+                 m[row + H_SAMPLE + 3], m[row + H_SAMPLE + 4], m[row + H_SAMPLE + 5],
+                 m[row + H_GYRO_VAR], m[row + H_ACCEL_VAR], m[row + H_KNOWN] == 1.0)
+    _apply_altitudes(m, ints, ints[I_STAMPS + head])
+    _keep_state(m, head)
 
 
 @njit(cache=True)
-def _advance(s, p, row, altitudes, ints, stamp):
-    """Step over one remembered sample and apply the altitudes up to its stamp."""
-    if row[H_DT] > 0.0:
-        imu_step(s, p, row[H_DT], row[H_SAMPLE], row[H_SAMPLE + 1], row[H_SAMPLE + 2],
-                 row[H_SAMPLE + 3], row[H_SAMPLE + 4], row[H_SAMPLE + 5],
-                 row[H_GYRO_VAR], row[H_ACCEL_VAR], row[H_KNOWN] == 1.0)
-    _apply_altitudes(s, p, altitudes, ints, stamp)
-
-
-@njit(cache=True)
-def _apply_altitudes(s, p, altitudes, ints, stamp):
+def _apply_altitudes(m, ints, stamp):
     """Apply the remembered altitudes that are due at the stamp of the state."""
     while ints[I_NEXT] < ints[I_ALTITUDES] and ints[I_ALT_STAMPS + ints[I_NEXT]] <= stamp:
-        k = ints[I_NEXT]
-        age = (stamp - ints[I_ALT_STAMPS + k]) * 1e-9
-        altitude_step(s, p, altitudes[k, 0], altitudes[k, 1], age)
+        age = (stamp - ints[I_ALT_STAMPS + ints[I_NEXT]]) * 1e-9
+        row = M_ALTITUDES + 2 * ints[I_NEXT]
+        altitude_step(m, m[row], m[row + 1], age)
         ints[I_NEXT] += 1
 
 
 @njit(cache=True)
-def push_altitude(memory, stamp, z, message_var):
-    """Take one altitude (m, up) at its stamp (ns); return whether it counts."""
-    s, p, history, snapshots, altitudes, ints = _parts(memory)
-    return _take_altitude(s, p, history, snapshots, altitudes, ints, stamp, z, message_var)
-
-
-@njit(cache=True)
-def _take_altitude(s, p, history, snapshots, altitudes, ints, stamp, z, message_var):
-    """Insert an altitude where it belongs in time.
+def _take_altitude(m, ints, stamp, z, message_var):
+    """Put an altitude where it belongs in time; return whether it counts.
 
     One that is ahead of the IMU waits for it; a late one takes the filter back to its stamp and
     steps over the remembered samples again.
     """
-    counts = ints[I_COUNTS:I_STAMPS]
     if not math.isfinite(z):
-        counts[F_ALT_NOT_FINITE] += 1
+        ints[I_COUNTS + F_ALT_NOT_FINITE] += 1
         return False
     if ints[I_STORED] > 0 and stamp > ints[I_LAST_STAMP] + AHEAD_LIMIT:
-        counts[F_ALT_AHEAD] += 1
+        ints[I_COUNTS + F_ALT_AHEAD] += 1
         return False
     place = ints[I_ALTITUDES]
     while place > 0 and ints[I_ALT_STAMPS + place - 1] > stamp:
         place -= 1
     if place > 0 and ints[I_ALT_STAMPS + place - 1] == stamp:
-        counts[F_ALT_DUPLICATE] += 1
+        ints[I_COUNTS + F_ALT_DUPLICATE] += 1
         return False
     back = _samples_since(ints, stamp)
-    if back == 1 and place == ints[I_NEXT] == ints[I_ALTITUDES] and ints[I_STORED] > 1:
-        # The newest of all, since the sample before: what a rewind would come to.
-        _insert_altitude(altitudes, ints, place, stamp, z, message_var)
-        _apply_altitudes(s, p, altitudes, ints, ints[I_LAST_STAMP])
-        _keep_state(s, snapshots, ints[I_HEAD])
-        return True
-    if back > 0:
+    newest = back == 1 and ints[I_STORED] > 1 and place == ints[I_NEXT] == ints[I_ALTITUDES]
+    if back > 0 and not newest:
         back += (ints[I_HEAD] - back) % SNAPSHOTS
-        if back >= ints[I_STORED] or ints[I_LAST_STAMP] - stamp > p[P_ALT_BUFFER] * 1e9:
-            counts[F_ALT_LATE] += 1
+        if back >= ints[I_STORED] or ints[I_LAST_STAMP] - stamp > m[P_ALT_BUFFER] * 1e9:
+            ints[I_COUNTS + F_ALT_LATE] += 1
             return False
-    _insert_altitude(altitudes, ints, place, stamp, z, message_var)
-    if back > 0:
-        _rewind(s, p, history, snapshots, altitudes, ints, back)
+    _insert_altitude(m, ints, place, stamp, z, message_var)
+    if newest:
+        # Since the sample before, and the last of all: what a rewind would come to.
+        _apply_altitudes(m, ints, ints[I_LAST_STAMP])
+        _keep_state(m, ints[I_HEAD])
+    elif back > 0:
+        _rewind(m, ints, back)
     return True
 
 
@@ -956,68 +927,90 @@ def _samples_since(ints, stamp):
 
 
 @njit(cache=True)
-def _insert_altitude(altitudes, ints, place, stamp, z, message_var):
+def _insert_altitude(m, ints, place, stamp, z, message_var):
     """Put an altitude among the remembered ones; a full memory loses its oldest."""
     if ints[I_ALTITUDES] == ALTITUDES:
         for k in range(1, ALTITUDES):
-            altitudes[k - 1] = altitudes[k]
-            ints[I_ALT_STAMPS + k - 1] = ints[I_ALT_STAMPS + k]
+            _move_altitude(m, ints, k, k - 1)
         ints[I_ALTITUDES] -= 1
         ints[I_NEXT] = max(ints[I_NEXT] - 1, 0)
         place = max(place - 1, 0)
     for k in range(ints[I_ALTITUDES], place, -1):
-        altitudes[k] = altitudes[k - 1]
-        ints[I_ALT_STAMPS + k] = ints[I_ALT_STAMPS + k - 1]
+        _move_altitude(m, ints, k - 1, k)
     ints[I_ALT_STAMPS + place] = stamp
-    altitudes[place, 0] = z
-    altitudes[place, 1] = message_var
+    m[M_ALTITUDES + 2 * place] = z
+    m[M_ALTITUDES + 2 * place + 1] = message_var
     ints[I_ALTITUDES] += 1
 
 
 @njit(cache=True)
-def _rewind(s, p, history, snapshots, altitudes, ints, back):
+def _move_altitude(m, ints, source, target):
+    ints[I_ALT_STAMPS + target] = ints[I_ALT_STAMPS + source]
+    m[M_ALTITUDES + 2 * target] = m[M_ALTITUDES + 2 * source]
+    m[M_ALTITUDES + 2 * target + 1] = m[M_ALTITUDES + 2 * source + 1]
+
+
+@njit(cache=True)
+def _rewind(m, ints, back):
     """Go back before the last `back` samples and step over them again."""
-    held, stuck = s[HELD], s[STUCK]
+    held, stuck = m[HELD], m[STUCK]
     origin = (ints[I_HEAD] - back) % HISTORY
+    snapshot = M_SNAPSHOTS + origin // SNAPSHOTS * STATE_SIZE
     for k in range(STATE_SIZE):
-        s[k] = snapshots[origin // SNAPSHOTS, k]
+        m[k] = m[snapshot + k]
     ints[I_NEXT] = 0
     while ints[I_ALT_STAMPS + ints[I_NEXT]] <= ints[I_STAMPS + origin]:
         ints[I_NEXT] += 1
     for k in range(back - 1, -1, -1):
-        at = (ints[I_HEAD] - k) % HISTORY
-        _advance(s, p, history[at], altitudes, ints, ints[I_STAMPS + at])
-        _keep_state(s, snapshots, at)
-    s[HELD], s[STUCK] = held, stuck
+        _advance(m, ints, (ints[I_HEAD] - k) % HISTORY)
+    m[HELD], m[STUCK] = held, stuck
 
 
-# --- a recording ------------------------------------------------------------------------------------
+# --- from Python ------------------------------------------------------------------------------------
 
 
 @njit(cache=True)
-def run(memory, stamps, gyro_b, accel_b, actions, alt_stamps, alt_values, alt_vars, arrival, out, fresh):
+def push_imu(m, stamp, gyro_b, accel_b):
+    """Take one sample as it comes; the output row is in the memory where FRESH is returned."""
+    ints = _integers(m)
+    if ints[I_STORED] > 0 and stamp <= ints[I_LAST_STAMP]:
+        return OLD
+    if not _take_imu(m, ints, stamp, gyro_b[0], gyro_b[1], gyro_b[2], accel_b[0], accel_b[1], accel_b[2]):
+        return STALE
+    write_output(m, m[M_OUT:M_INTS])
+    return FRESH
+
+
+@njit(cache=True)
+def push_altitude(m, stamp, z, message_var):
+    """Take one altitude (m, up) at its stamp (ns); return whether it counts."""
+    return _take_altitude(m, _integers(m), stamp, z, message_var)
+
+
+@njit(cache=True)
+def run(m, stamps, gyro_b, accel_b, actions, alt_stamps, alt_values, alt_vars, arrival, out, fresh):
     """Feed a recording in recorded order; rows of `out` are filled where `fresh` becomes True.
 
     Returns how many samples were taken before one whose stamp is not later than the last.
     """
-    s, p, history, snapshots, altitudes, ints = _parts(memory)
+    ints = _integers(m)
     j = 0
     for k in range(len(stamps)):
         while j < len(arrival) and arrival[j] <= k:
-            _take_altitude(s, p, history, snapshots, altitudes, ints, alt_stamps[j], alt_values[j], alt_vars[j])
+            _take_altitude(m, ints, alt_stamps[j], alt_values[j], alt_vars[j])
             j += 1
         fresh[k] = False
         if actions[k] == ACTION_SKIP:
             continue
         if actions[k] == ACTION_RESET:
-            reset(memory)
+            reset(m)
         if ints[I_STORED] > 0 and stamps[k] <= ints[I_LAST_STAMP]:
             return k
-        fresh[k] = _take_imu(s, p, history, snapshots, altitudes, ints, stamps[k], gyro_b[k, 0], gyro_b[k, 1],
-                             gyro_b[k, 2], accel_b[k, 0], accel_b[k, 1], accel_b[k, 2])
+        fresh[k] = _take_imu(m, ints, stamps[k], gyro_b[k, 0], gyro_b[k, 1], gyro_b[k, 2],
+                             accel_b[k, 0], accel_b[k, 1], accel_b[k, 2])
         if fresh[k]:
-            write_output(s, p, out[k])
+            write_output(m, out[k])
     while j < len(arrival):
-        _take_altitude(s, p, history, snapshots, altitudes, ints, alt_stamps[j], alt_values[j], alt_vars[j])
+        _take_altitude(m, ints, alt_stamps[j], alt_values[j], alt_vars[j])
         j += 1
     return len(stamps)
