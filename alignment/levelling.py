@@ -10,9 +10,11 @@ import numpy as np
 from alignment.harmonic import fit_harmonic
 from alignment.results import LARGEST_SCALE_ERROR, LevelResult, Quality, propagate_covariance
 from inertial.earth import STANDARD_GRAVITY
+from inertial.rotation import down_from_roll_pitch, roll_pitch_from_down
 
 # Where cos(pitch) is smaller, methods 1 to 4 no longer see the roll.
 _SMALLEST_COS_PITCH = 1e-3
+_GAUSS_NEWTON_STEPS = 6  # quadratic from a start within a hundredth of a radian
 _DIFFERENCE_STEP = 1e-6  # of gravity: central differences are then good to about ten digits
 
 
@@ -137,3 +139,67 @@ def _level(solve, readings, gravity, covariance):
         quality |= np.where(np.abs(scale - 1) > LARGEST_SCALE_ERROR, Quality.SCALE.value, 0)
     return LevelResult(np.where(blind, np.nan, roll), np.where(np.isnan(pitch), np.nan, pitch),
                        spread, bias, scale, quality)
+
+
+def level_jointly(fits, accel_z, params, gravity):
+    """Level with every accelerometer there is: harmonic fits of x and y, and the z readings.
+
+    The down direction seen by the table is fitted to the in-plane force and the force along the axis, each
+    with its own uncertainty: scale factors for all, the bias for z, whose readings do not turn. Any attitude.
+
+    Parameters
+    ----------
+    fits : sequence of (alignment.harmonic.HarmonicFit, float)
+        Fits of the accelerometers that see the table turn, each with the angle of its axis from body x, rad.
+    accel_z : float, m/s^2
+        Mean reading along the table's axis.
+    params : alignment.params.AlignmentParams
+    gravity : float, m/s^2
+
+    Returns
+    -------
+    LevelResult
+    """
+    weight, weighted = np.zeros((3, 3)), np.zeros(3)
+    for fit, axis in fits:
+        # A sensor at this angle reads -g (down_x cos(tau + axis) + down_y sin(tau + axis)).
+        turn = -np.array([[np.cos(axis), -np.sin(axis)], [np.sin(axis), np.cos(axis)]]) / gravity
+        down = turn @ fit.in_plane
+        covariance = turn @ fit.in_plane_covariance @ turn.T
+        information = np.linalg.inv(covariance + params.accel_scale_std ** 2 * np.outer(down, down))
+        weight[:2, :2] += information
+        weighted[:2] += information @ down
+    down_z = -accel_z / gravity
+    weight[2, 2] = 1 / ((params.accel_bias_std / gravity) ** 2 + (params.accel_scale_std * down_z) ** 2
+                        + _DIFFERENCE_STEP ** 2)
+    weighted[2] = weight[2, 2] * down_z
+    return _level_from_down(np.linalg.solve(weight, weighted), weight)
+
+
+def _level_from_down(down, weight):
+    """Return the unit down direction nearest to the estimate in its own metric, as roll and pitch."""
+    roll, pitch = roll_pitch_from_down(down)
+    for _ in range(_GAUSS_NEWTON_STEPS):
+        slope = _down_slope(roll, pitch)
+        information = slope.T @ weight @ slope
+        if np.linalg.cond(information) > 1 / np.finfo(float).eps:
+            break
+        step = np.linalg.solve(information, slope.T @ weight @ (down - down_from_roll_pitch(roll, pitch)))
+        roll, pitch = roll + step[0], pitch + step[1]
+    slope = _down_slope(roll, pitch)
+    blind = abs(np.cos(pitch)) < _SMALLEST_COS_PITCH
+    covariance = np.full((2, 2), np.nan) if blind else np.linalg.inv(slope.T @ weight @ slope)
+    unknown = np.asarray(np.nan)
+    quality = np.asarray(Quality.SINGULAR.value if blind else 0)
+    length = np.linalg.norm(down)
+    if abs(length - 1) > LARGEST_SCALE_ERROR:
+        quality = quality | Quality.SCALE.value
+    roll, pitch = roll_pitch_from_down(down_from_roll_pitch(roll, pitch))
+    return LevelResult(np.asarray(np.nan if blind else roll), np.asarray(pitch), covariance, unknown,
+                       np.asarray(length), quality)
+
+
+def _down_slope(roll, pitch):
+    """Return the derivatives of the down direction by roll and pitch, (3, 2)."""
+    sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
+    return np.array([[0.0, -cp], [cr * cp, -sr * sp], [-sr * cp, -cr * sp]])

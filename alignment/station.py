@@ -1,0 +1,237 @@
+"""A turntable alignment as it happens: dwells come in one by one, the result may be asked for at any time.
+
+This is what a node and a command line call. It holds the dwells, says which angle is wanted next, and gives
+level from the first dwell on and heading as soon as three angles have been seen.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from alignment import azimuth, bounds, sequences
+from alignment.errors import NotEnoughDataError
+from alignment.harmonic import fit_harmonic
+from alignment.levelling import level_jointly
+from alignment.north import find_north
+from alignment.results import LARGEST_SCALE_ERROR, UNBELIEVABLE, HeadingResult, LevelResult, Quality
+from inertial.earth import STANDARD_GRAVITY, normal_gravity
+from inertial.rotation import roll_pitch_from_down
+
+_SAME_ANGLE = math.radians(0.5)
+_LONGEST_FORECAST = 24 * 3600.0
+_HALF_TURN = (0.0, math.pi)
+
+
+@dataclass(frozen=True)
+class AlignmentResult:
+    """What is known so far.
+
+    Attributes
+    ----------
+    level : alignment.results.LevelResult
+    north : alignment.results.HeadingResult or None
+        None until three angles have been seen, or without a latitude.
+    floor : float, rad
+        Part of the heading's deviation that is 1/f noise: what waiting no longer removes quickly.
+    time_left : float, s
+        Until the asked accuracy; 0 when reached, infinite when it cannot be.
+    """
+
+    level: LevelResult
+    north: HeadingResult | None
+    floor: float
+    time_left: float
+
+    @property
+    def believable(self):
+        """Whether the heading may be published."""
+        return self.north is not None and not self.north.flags & UNBELIEVABLE
+
+
+class TableAlignment:
+    """Level and heading of a turntable from dwells.
+
+    Parameters
+    ----------
+    params : alignment.params.AlignmentParams
+
+    Raises
+    ------
+    UnobservableError
+        Only from :meth:`result`, at a pole.
+    """
+
+    def __init__(self, params):
+        self.params = params
+        self._dwells = []
+        self.rejected = []
+
+    @property
+    def dwells(self):
+        """The accepted dwells, in order."""
+        return tuple(self._dwells)
+
+    @property
+    def gravity(self):
+        """Magnitude of gravity used, m/s^2."""
+        if not math.isnan(self.params.gravity):
+            return self.params.gravity
+        latitude = self.params.latitude
+        return STANDARD_GRAVITY if math.isnan(latitude) else float(normal_gravity(latitude))
+
+    def add(self, dwell):
+        """Take in a dwell; return the reason when it is rejected, otherwise an empty string."""
+        reason = dwell.rejection
+        if not reason and self._dwells and dwell.start < self._dwells[-1].end - 1e-9:
+            reason = "it overlaps the dwell before"
+        (self.rejected if reason else self._dwells).append(dwell)
+        return reason
+
+    def reset(self):
+        """Forget every dwell."""
+        self._dwells, self.rejected = [], []
+
+    def next_angle(self):
+        """Return the table angle wanted next, rad, following the sequence of the parameters."""
+        count = len(self._dwells)
+        if self.params.sequence != "refined" or self._used_time() < self.params.coarse_time:
+            order = sequences.FOUR_POSITIONS if self.params.sequence == "single_pass" else sequences.PALINDROME
+            return order[count % len(order)]
+        result = self.result()
+        if not result.believable:
+            return sequences.PALINDROME[count % len(sequences.PALINDROME)]
+        best = bounds.best_angle(float(result.level.roll), float(result.level.pitch),
+                                 float(result.north.heading), self.params.latitude)
+        # The order +--+ cancels a drift.
+        return (best + _HALF_TURN[(count + 1) // 2 % 2]) % (2 * math.pi)
+
+    def result(self):
+        """Return what is known so far.
+
+        Raises
+        ------
+        NotEnoughDataError
+            No dwell yet.
+        UnobservableError
+            The latitude is a pole's.
+        """
+        if not self._dwells:
+            raise NotEnoughDataError("no dwell has been accepted yet")
+        schedule = self._schedule()
+        try:
+            level, north = self._solve(schedule)
+        except NotEnoughDataError:
+            return AlignmentResult(self._level_of_few(), None, math.nan, math.inf)
+        if north is None or np.isnan(north.heading):
+            return AlignmentResult(level, north, math.nan, math.inf)
+        white, total = (bounds.predicted_heading_std(
+            schedule, self.params.gyro_noise_density, instability, float(level.roll), float(level.pitch),
+            float(north.heading), self.params.latitude) for instability in (0, self.params.gyro_bias_instability))
+        return AlignmentResult(level, north, math.sqrt(max(total ** 2 - white ** 2, 0.0)),
+                               self._time_left(float(north.std), white, total))
+
+    def compare_methods(self, hint=None):
+        """Return the heading by every closed form whose positions have been visited: name to result.
+
+        Parameters
+        ----------
+        hint : float, optional
+            Heading by a compass, rad, to choose among branches; the joint estimator's when absent.
+        """
+        found = self.result()
+        if hint is None and found.north is not None:
+            hint = found.north.heading
+        results = {"joint": found.north} if found.north is not None else {}
+        for name, method in azimuth.METHODS.items():
+            readings = [self._reading_at(position) for position in method.positions]
+            if None not in readings:
+                results[name] = azimuth.find_azimuth(
+                    name, [rate for rate, _ in readings], found.level.roll, found.level.pitch,
+                    self.params.latitude, rate_covariance=np.diag([var for _, var in readings]),
+                    level_covariance=found.level.covariance, latitude_std=self.params.latitude_std, hint=hint,
+                    shared_channel="tipped" in method.positions)
+        return results
+
+    def _schedule(self):
+        column = {name: np.array([getattr(dwell, name) for dwell in self._dwells])
+                  for name in ("angle", "start", "end")}
+        start = self._dwells[0].start
+        return sequences.Schedule(column["angle"], column["start"] - start, column["end"] - start,
+                                  np.zeros(len(self._dwells)))
+
+    def _used_time(self):
+        return sum(dwell.duration for dwell in self._dwells)
+
+    def _solve(self, schedule):
+        params = self.params
+        gyro_b = np.array([dwell.gyro_b for dwell in self._dwells])
+        accel_b = np.array([dwell.accel_b for dwell in self._dwells])
+        accel_variance = params.accel_noise_density ** 2 / schedule.duration
+        # The y axis is a quarter turn ahead of x.
+        fits = [(fit_harmonic(schedule.angle, accel_b[:, axis], accel_variance), 0.5 * math.pi * axis)
+                for axis in (0, 1)]
+        level = level_jointly(fits, np.average(accel_b[:, 2], weights=schedule.duration), params, self.gravity)
+        if math.isnan(params.latitude) or np.isnan(level.roll):
+            return level, None
+        variance = bounds.noise_covariance(schedule, params.gyro_noise_density, 0.0)
+        time = schedule.middle if params.estimate_drift else None
+        fit_x, fit_y = (fit_harmonic(schedule.angle, gyro_b[:, axis], variance, time=time) for axis in (0, 1))
+        flicker = self._flicker_of_fit(schedule, fit_x, time)
+        fit_x, fit_y = (_widened(fit, flicker) for fit in (fit_x, fit_y))
+        north = find_north(fit_x, fit_y if params.use_y_gyro else None, [level.roll, level.pitch],
+                           level.covariance, params.latitude, params.priors)
+        return level, north
+
+    def _flicker_of_fit(self, schedule, fit, time):
+        """Return what 1/f noise adds to the covariance of the coefficients, (M, M)."""
+        if self.params.gyro_bias_instability == 0:
+            return np.zeros_like(fit.covariance)
+        columns = [np.ones_like(schedule.angle), np.cos(schedule.angle), np.sin(schedule.angle)]
+        design = np.stack(columns + ([] if time is None else [time]), axis=1)
+        gain = fit.covariance @ (design * schedule.duration[:, None]).T / self.params.gyro_noise_density ** 2
+        return gain @ bounds.flicker_covariance(schedule, self.params.gyro_bias_instability) @ gain.T
+
+    def _level_of_few(self):
+        """Return the level before the table has turned: the accelerometers as they are, bias and all."""
+        tau = self._dwells[-1].angle
+        x, y, z = self._dwells[-1].accel_b
+        force_t = np.array([math.cos(tau) * x - math.sin(tau) * y, math.sin(tau) * x + math.cos(tau) * y, z])
+        roll, pitch = roll_pitch_from_down(-force_t)
+        variance = (self.params.accel_bias_std / self.gravity) ** 2
+        covariance = variance * np.diag([1 / max(np.cos(pitch), 1e-3) ** 2, 1.0])
+        scale = np.linalg.norm(force_t) / self.gravity
+        quality = np.asarray(Quality.SCALE.value if abs(scale - 1) > LARGEST_SCALE_ERROR else 0)
+        return LevelResult(roll, pitch, covariance, np.asarray(np.nan), np.asarray(scale), quality)
+
+    def _time_left(self, std, white, total):
+        """Return how long until the asked accuracy if the sequence goes on, s.
+
+        White noise and, with returns to each angle, 1/f noise fall with the root of the time; the priors
+        stay.
+        """
+        target = self.params.target_std
+        fixed = max(std ** 2 - total ** 2, 0.0)
+        if std <= target:
+            return 0.0
+        if fixed >= target ** 2:
+            return math.inf
+        factor = total ** 2 / (target ** 2 - fixed)
+        left = self._used_time() * (factor - 1)
+        return left if left < _LONGEST_FORECAST else math.inf
+
+    def _reading_at(self, position):
+        """Return mean x rate at a table angle in deg (or of z for the tipped sensor) and its variance."""
+        if position in ("any", "maximum"):
+            return None
+        chosen = [dwell for dwell in self._dwells if position == "tipped" or abs(math.remainder(
+            dwell.angle - math.radians(float(position)), 2 * math.pi)) < _SAME_ANGLE]
+        if not chosen:
+            return None
+        duration = [dwell.duration for dwell in chosen]
+        rates = [dwell.gyro_b[2 if position == "tipped" else 0] for dwell in chosen]
+        return np.average(rates, weights=duration), self.params.gyro_noise_density ** 2 / sum(duration)
+
+
+def _widened(fit, added):
+    return type(fit)(fit.coefficients, fit.covariance + added, fit.chi2, fit.freedom, fit.condition, fit.kept)
