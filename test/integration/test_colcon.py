@@ -20,8 +20,8 @@ def installed(repository, tmp_path_factory):
     for name in ("package.xml", "setup.py", "setup.cfg", "pyproject.toml"):
         source.mkdir(parents=True, exist_ok=True)
         shutil.copy(repository / name, source)
-    for name in ("inertial", "attitude_estimator", "nav_ros", "studies", "resource", "config", "launch",
-                 "bags"):
+    for name in ("inertial", "attitude_estimator", "alignment", "nav_ros", "studies", "resource", "config",
+                 "launch", "bags"):
         shutil.copytree(repository / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     colcon = shutil.which("colcon", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     assert colcon, "colcon belongs to the test extra"
