@@ -1,55 +1,9 @@
-"""Compiled kernels: normal equations of a robust fit, and the search for the heading."""
+"""Compiled kernel: the search for the heading, trial by trial."""
 
 import math
 
 import numpy as np
 from numba import njit
-
-
-@njit(cache=True)
-def accumulate_huber(columns, readings, coefficients, threshold):
-    """Return normal matrix and right side with Huber's weights about the coefficients.
-
-    Parameters
-    ----------
-    columns : (K, M) float64
-    readings : (K,) float64
-    coefficients : (M,) float64
-    threshold : float
-        Residual beyond which a reading's pull no longer grows.
-    """
-    size = columns.shape[1]
-    normal = np.zeros((size, size))
-    right = np.zeros(size)
-    for k in range(len(readings)):
-        residual = readings[k]
-        for i in range(size):
-            residual -= columns[k, i] * coefficients[i]
-        weight = 1.0 if abs(residual) <= threshold else threshold / abs(residual)
-        _add_reading(normal, right, columns, readings, k, weight)
-    return normal, right
-
-
-@njit(cache=True)
-def accumulate_kept(columns, readings, kept):
-    """Return normal matrix and right side of the readings that are kept."""
-    size = columns.shape[1]
-    normal = np.zeros((size, size))
-    right = np.zeros(size)
-    for k in range(len(readings)):
-        if kept[k]:
-            _add_reading(normal, right, columns, readings, k, 1.0)
-    return normal, right
-
-
-@njit(cache=True)
-def _add_reading(normal, right, columns, readings, k, weight):
-    for i in range(len(right)):
-        scaled = weight * columns[k, i]
-        right[i] += scaled * readings[k]
-        for j in range(len(right)):
-            normal[i, j] += scaled * columns[k, j]
-
 
 # Without nuisances the misfit is a trigonometric polynomial of degree two: four extrema at most.
 GRID_POINTS = 72

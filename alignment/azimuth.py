@@ -140,7 +140,6 @@ def quadratic_coefficients(rate_0, rate_90, roll, pitch, latitude):
 def approximate_scale_5(rate_0, rate_90, roll, pitch, latitude):
     """Return method 5's scale factor to first order in its error (equation 66)."""
     a, b, c = quadratic_coefficients(rate_0, rate_90, roll, pitch, latitude)
-    c = -c  # the paper's sign
     a, c = a * np.cos(latitude) ** 2, c * np.cos(latitude)
     return 1 + (-a + b + c) / (2 * a - c)
 

@@ -8,13 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alignment._kernels import accumulate_huber
-from alignment.harmonic import HUBER_THRESHOLD, OUTLIER_THRESHOLD
+from alignment.harmonic import OUTLIER_THRESHOLD, huber_fit
 
 _PARTS = 5
 _FEWEST_SAMPLES = 20
-_HUBER_STEPS = 10
-_NORMAL_MAD = 1.482602218505602
 
 
 @dataclass(frozen=True)
@@ -94,14 +91,9 @@ def _rejected(time, angle, reason):
 
 def _inliers(column):
     """Return which samples lie within the limit about Huber's mean."""
-    centre = np.median(column)
-    spread = max(_NORMAL_MAD * np.median(np.abs(column - centre)), np.finfo(float).tiny)
-    ones, coefficient = np.ones((len(column), 1)), np.array([centre])
-    for _ in range(_HUBER_STEPS):
-        normal, right = accumulate_huber(ones, column, coefficient, HUBER_THRESHOLD * spread)
-        coefficient = right / normal[0]
-    # A quantised sensor at rest may show but one value, with others one step away.
-    distance = np.abs(column - coefficient[0])
+    centre, spread = huber_fit(np.ones((len(column), 1)), column)
+    distance = np.abs(column - centre[0])
+    # A coarsely quantised sensor at rest may show but one value, with others one step away.
     return distance <= max(OUTLIER_THRESHOLD * spread, np.quantile(distance, 0.75))
 
 

@@ -10,14 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alignment._kernels import accumulate_huber, accumulate_kept
 from alignment.errors import NotEnoughDataError
 
 HUBER_THRESHOLD = 1.345  # 95 % efficient for normal noise
 OUTLIER_THRESHOLD = 5.0  # one clean reading in two million lies beyond
 LARGEST_CONDITION = 1e4  # two angles a minute of arc apart already exceed it
 _HUBER_STEPS = 30
-_SETTLED = 1e-3  # of a coefficient's deviation
+_SETTLED = 1e-3  # of the coefficients' deviation
+# Huber's weights need no more readings than these to tell outliers from the rest.
+_ENOUGH_TO_START = 20_000
 _NORMAL_MAD = 1.482602218505602  # standard deviation per median absolute deviation
 
 
@@ -72,11 +73,15 @@ def harmonic_design(angle, time=None, rate=None):
         The columns do not tell the coefficients apart; the message names rank and condition number.
     """
     angle = np.asarray(angle, dtype=float)
-    columns = [np.ones_like(angle), np.cos(angle), np.sin(angle)]
-    columns += [np.asarray(column, dtype=float) for column in (time, rate) if column is not None]
-    design = np.stack(columns, axis=1)
-    _condition(design)
-    return design
+    more = [column for column in (time, rate) if column is not None]
+    columns = np.empty((3 + len(more), len(angle)))
+    columns[0] = 1.0
+    np.cos(angle, out=columns[1])
+    np.sin(angle, out=columns[2])
+    for row, column in zip(columns[3:], more, strict=True):
+        row[:] = column
+    _condition(columns @ columns.T, len(angle))
+    return columns.T
 
 
 def fit_harmonic(angle, value, variance=None, *, time=None, rate=None, robust=False):
@@ -116,14 +121,15 @@ def fit_harmonic(angle, value, variance=None, *, time=None, rate=None, robust=Fa
     return _fit_weighted(design, value, variance)
 
 
-def _condition(design):
-    scaled = design / np.linalg.norm(design, axis=0).clip(np.finfo(float).tiny)
-    singular = np.sqrt(np.linalg.eigvalsh(scaled.T @ scaled).clip(0.0))
+def _condition(normal, count):
+    """Return the condition number of columns, each scaled to unit length, from their products."""
+    length = np.sqrt(np.diag(normal).clip(np.finfo(float).tiny))
+    singular = np.sqrt(np.linalg.eigvalsh(normal / np.outer(length, length)).clip(0.0))
     condition = singular[-1] / max(singular[0], np.finfo(float).tiny)
-    if len(design) < design.shape[1] or condition > LARGEST_CONDITION:
-        rank = min(len(design), int(np.sum(singular * LARGEST_CONDITION > singular[-1])))
+    if count < len(normal) or condition > LARGEST_CONDITION:
+        rank = min(count, int(np.sum(singular * LARGEST_CONDITION > singular[-1])))
         raise NotEnoughDataError(
-            f"{len(design)} readings tell {rank} of {design.shape[1]} coefficients apart (condition number "
+            f"{count} readings tell {rank} of {len(normal)} coefficients apart (condition number "
             f"{condition:.3g}, at most {LARGEST_CONDITION:.0e}): use at least three well separated angles")
     return condition
 
@@ -150,36 +156,64 @@ def _fit_weighted(design, value, variance):
     freedom = len(design) - design.shape[1]
     if variance is None:
         covariance = covariance * (np.mean(chi2) / freedom if freedom else np.nan)
-    return HarmonicFit(coefficients, covariance, chi2, freedom, _condition(design),
+    return HarmonicFit(coefficients, covariance, chi2, freedom, _condition(design.T @ design, len(design)),
                        np.ones(value.shape, dtype=bool))
 
 
 def _fit_robust(design, value, variance):
     if value.ndim != 1 or np.ndim(variance) == 2:
         raise ValueError("a robust fit takes one row of readings and no correlations between them")
-    weight_root = _whitening(1.0 if variance is None else variance, len(design))
-    columns, readings = weight_root[:, None] * design, weight_root * value
-    coefficients = np.linalg.solve(columns.T @ columns, columns.T @ readings)
-    spread = _spread(readings - columns @ coefficients, variance)
-    for _ in range(_HUBER_STEPS):
-        normal, right = accumulate_huber(columns, readings, coefficients, HUBER_THRESHOLD * spread)
-        step = np.linalg.solve(normal, right) - coefficients
-        coefficients = coefficients + step
-        spread = _spread(readings - columns @ coefficients, variance)
-        if step @ normal @ step < (_SETTLED * spread) ** 2:
-            break
-    kept = np.abs(readings - columns @ coefficients) <= OUTLIER_THRESHOLD * spread
-    condition = _condition(design[kept])
-    normal, right = accumulate_kept(columns, readings, kept)
-    coefficients = np.linalg.solve(normal, right)
-    chi2 = np.sum((readings - columns @ coefficients)[kept] ** 2)
+    columns, readings = design, value
+    if variance is not None:
+        whitening = _whitening(variance, len(design))
+        columns, readings = whitening[:, None] * design, whitening * value
+    some = slice(None)
+    if len(value) > _ENOUGH_TO_START:
+        # At random, since every n-th reading may meet the same angles again and again.
+        some = np.random.default_rng(0).choice(len(value), _ENOUGH_TO_START, replace=False)
+    coefficients, spread = huber_fit(columns[some], readings[some], None if variance is None else 1.0)
+    residual = readings - columns @ coefficients
+    kept = np.abs(residual) <= OUTLIER_THRESHOLD * spread
+    out, wrong = columns[~kept], residual[~kept]
+    normal = columns.T @ columns - out.T @ out
+    condition = _condition(normal, int(kept.sum()))
+    step = np.linalg.solve(normal, columns.T @ residual - out.T @ wrong)
+    chi2 = residual @ residual - wrong @ wrong - step @ normal @ step
     freedom = int(kept.sum()) - design.shape[1]
     unit = 1.0 if variance is not None else chi2 / freedom if freedom else np.nan
-    return HarmonicFit(coefficients, np.linalg.inv(normal) * unit, chi2, freedom, condition, kept)
+    return HarmonicFit(coefficients + step, np.linalg.inv(normal) * unit, chi2, freedom, condition, kept)
 
 
-def _spread(residual, variance):
-    """Return the residuals' standard deviation: stated, or robustly from themselves."""
-    if variance is not None:
-        return 1.0
-    return max(_NORMAL_MAD * np.median(np.abs(residual)), np.finfo(float).tiny)
+def huber_fit(columns, readings, spread=None):
+    """Fit coefficients with Huber's weights.
+
+    Parameters
+    ----------
+    columns : (K, M) float64
+    readings : (K,) float64
+    spread : float, optional
+        Standard deviation of the readings; without it, robustly from the residuals.
+
+    Returns
+    -------
+    coefficients : (M,) float64
+    spread : float
+    """
+    coefficients = np.linalg.solve(columns.T @ columns, columns.T @ readings)
+    for _ in range(_HUBER_STEPS):
+        residual = readings - columns @ coefficients
+        deviation = _spread(residual) if spread is None else spread
+        size = np.abs(residual)
+        weight = np.minimum(1.0, HUBER_THRESHOLD * deviation / np.maximum(size, np.finfo(float).tiny))
+        weighted = columns * weight[:, None]
+        normal = weighted.T @ columns
+        step = np.linalg.solve(normal, weighted.T @ residual)
+        coefficients = coefficients + step
+        if step @ normal @ step < (_SETTLED * deviation) ** 2:
+            break
+    return coefficients, deviation
+
+
+def _spread(residual):
+    """Return the residuals' standard deviation, robustly."""
+    return max(_NORMAL_MAD * float(np.median(np.abs(residual))), np.finfo(float).tiny)

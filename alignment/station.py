@@ -96,7 +96,8 @@ class TableAlignment:
         """Return the table angle wanted next, rad, following the sequence of the parameters."""
         count = len(self._dwells)
         if self.params.sequence != "refined" or self._used_time() < self.params.coarse_time:
-            order = sequences.FOUR_POSITIONS if self.params.sequence == "single_pass" else sequences.PALINDROME
+            once = self.params.sequence == "single_pass"
+            order = sequences.FOUR_POSITIONS if once else sequences.PALINDROME
             return order[count % len(order)]
         result = self.result()
         if not result.believable:
@@ -125,9 +126,10 @@ class TableAlignment:
             return AlignmentResult(self._level_of_few(), None, math.nan, math.inf)
         if north is None or np.isnan(north.heading):
             return AlignmentResult(level, north, math.nan, math.inf)
-        white, total = (bounds.predicted_heading_std(
-            schedule, self.params.gyro_noise_density, instability, float(level.roll), float(level.pitch),
-            float(north.heading), self.params.latitude) for instability in (0, self.params.gyro_bias_instability))
+        attitude = float(level.roll), float(level.pitch), float(north.heading), self.params.latitude
+        white, total = (
+            bounds.predicted_heading_std(schedule, self.params.gyro_noise_density, instability, *attitude)
+            for instability in (0.0, self.params.gyro_bias_instability))
         return AlignmentResult(level, north, math.sqrt(max(total ** 2 - white ** 2, 0.0)),
                                self._time_left(float(north.std), white, total))
 
@@ -171,7 +173,8 @@ class TableAlignment:
         # The y axis is a quarter turn ahead of x.
         fits = [(fit_harmonic(schedule.angle, accel_b[:, axis], accel_variance), 0.5 * math.pi * axis)
                 for axis in (0, 1)]
-        level = level_jointly(fits, np.average(accel_b[:, 2], weights=schedule.duration), params, self.gravity)
+        accel_z = np.average(accel_b[:, 2], weights=schedule.duration)
+        level = level_jointly(fits, accel_z, params, self.gravity)
         if math.isnan(params.latitude) or np.isnan(level.roll):
             return level, None
         variance = bounds.noise_covariance(schedule, params.gyro_noise_density, 0.0)

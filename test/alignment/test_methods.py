@@ -68,6 +68,15 @@ def test_bias_and_scale_are_found_and_do_not_move_the_heading(method):
     assert result.scale == pytest.approx(1.00002, abs=1e-11)
 
 
+def test_approximate_scale_factors_are_right_to_first_order():
+    x, y = _in_plane_rates(PAPER.roll, PAPER.pitch, PAPER.heading, PAPER.latitude)[:2] / EARTH_RATE
+    for error in (20e-6, 1e-3):
+        scale = 1 + error
+        five = azimuth.approximate_scale_5(scale * x, scale * y, PAPER.roll, PAPER.pitch, PAPER.latitude)
+        for found in (five, levelling.approximate_scale(scale)):
+            assert 0 < abs(found - scale) < error ** 2
+
+
 def test_azimuth_6_finds_the_latitude_too():
     rates = _in_plane_rates(PAPER.roll, PAPER.pitch, PAPER.heading, PAPER.latitude)
     result = azimuth.find_azimuth("azimuth_6", rates[:5][[0, 1, 2, 4]], PAPER.roll, PAPER.pitch, 0.1,
