@@ -67,13 +67,17 @@ def single_pass(total_time):
 
 
 def palindrome(total_time, dwell_time=15.0, settle_time=0.0):
-    """Return 0-90-180-270-270-180-90-0 deg repeated through the time, at least once.
+    """Return 0-90-180-270-270-180-90-0 deg, repeated.
 
-    Dwells are shortened where the time is less than one round, never lengthened.
+    Parameters
+    ----------
+    total_time : float, s
+        Filled by whole rounds.
+    dwell_time : float, s
+        At most; less where whole rounds want it.
+    settle_time : float, s
     """
-    rounds = max(1, int(total_time // (len(PALINDROME) * (dwell_time + settle_time))))
-    dwell_time = min(dwell_time, total_time / len(PALINDROME) - settle_time)
-    return indexed_schedule(PALINDROME * rounds, dwell_time, settle_time)
+    return _rounds(PALINDROME, total_time, dwell_time, settle_time, 0.0)
 
 
 def refinement(best_angle, total_time, dwell_time=15.0, settle_time=0.0, start=0.0):
@@ -86,11 +90,17 @@ def refinement(best_angle, total_time, dwell_time=15.0, settle_time=0.0, start=0
     best_angle : float, rad
         From :func:`alignment.bounds.best_angle`.
     total_time, dwell_time, settle_time, start : float, s
+        As in :func:`palindrome`.
     """
-    pattern = (best_angle, best_angle + np.pi, best_angle + np.pi, best_angle)
-    rounds = max(1, int(total_time // (len(pattern) * (dwell_time + settle_time))))
-    dwell_time = min(dwell_time, total_time / len(pattern) - settle_time)
-    return indexed_schedule(pattern * rounds, dwell_time, settle_time, start)
+    opposite = best_angle + np.pi
+    return _rounds((best_angle, opposite, opposite, best_angle), total_time, dwell_time, settle_time, start)
+
+
+def _rounds(angles, total_time, dwell_time, settle_time, start):
+    # The slack keeps a time that is a whole number of rounds from becoming one more.
+    rounds = max(1, int(np.ceil(total_time / (len(angles) * (dwell_time + settle_time)) - 1e-9)))
+    dwell_time = total_time / (len(angles) * rounds) - settle_time
+    return indexed_schedule(angles * rounds, dwell_time, settle_time, start)
 
 
 def continuous_rotation(rate, total_time, sample_interval, both_ways=True):

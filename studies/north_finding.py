@@ -98,9 +98,10 @@ def heading_lines(trials):
         f"Made by `study_north_finding` from commit {commit.stdout.strip() or 'unknown'}, seed {SEED}, "
         f"{trials} "
         "trials a row.", "",
-        "One gyro and one accelerometer on a turntable at rest find level and true north. First the paper's "
-        "own tables and figures beside the same equations (as corrected) computed here; then what the joint "
-        "estimator does, which uses every reading and needs neither a compass nor a choice among methods."]
+        "One gyro and one accelerometer on a turntable at rest find level and true north. First the "
+        "paper's own tables and figures beside the same equations (as corrected) computed here; then what "
+        "the joint estimator does, which uses every reading and needs neither a compass nor a choice "
+        "among methods."]
 
 
 def table(header, rows):
@@ -145,8 +146,7 @@ def noise_needed():
     slope = EARTH_RATE * bounds.sensitivity(*np.radians(PAPER_DEG))
     samples = (0.05 * nominal / slope / (0.0001 * DEG)) ** 2
     return (f"the noise it names, white and 5 % of the nominal values, would need {samples:.0e} samples at "
-            "each "
-            "position before the printed digits (0.0001 deg) stand still.")
+            "each position before the printed digits (0.0001 deg) stand still.")
 
 
 def paper_levels(accel_b):
@@ -317,10 +317,8 @@ def conclusions_section(trials):
         ("The y accelerometer (levelling 3, 4) is more accurate than the x one, whose lever arm forces are "
          "left "
          "out", f"no: over {trials} random attitudes and misalignments {x_rms:.2f} and {y_rms:.2f} arcsec "
-                "RMS; "
-         f"turning at 6 deg/s on a 0.1 m arm moves levelling 1 by {turning:.1e} arcsec, since the force is "
-         "the "
-         "same at every angle and cancels"),
+                f"RMS; turning at 6 deg/s on a 0.1 m arm moves levelling 1 by {turning:.1e} arcsec, since "
+         "the force is the same at every angle and cancels"),
         ("Levelling 4 has most noise", "no: at rest x and y read with the same noise, and 4 is 3 with more "
                                        "angles"),
         ("Azimuth 1a is the best", f"at heading 88 deg only: {at_88:.2f} times the bound there, {at_10:.2f} "
@@ -436,18 +434,16 @@ def efficiency_section(trials):
     return [
         "## Efficiency", "",
         f"Heading RMS over the Cramer-Rao bound of the best two angles, {total:.0f} s in all for each "
-        "method, "
-        "white noise, unknown bias. Azimuth 2 and 3 are told the bias; azimuth 2 measures at its best angle, "
-        "azimuth 6 tips the sensor. A dash: blind, or more than one trial in a hundred without a solution. "
-        "The joint estimator with four positions is held to sqrt(2) by their geometry; refined, a quarter of "
-        "the time goes there and the rest to the two best angles (east and west when level). Refused: "
-        "flagged "
-        "as ambiguous, so that no heading would be published.",
+        "method, white noise, unknown bias. Azimuth 2 and 3 are told the bias; azimuth 2 measures at its "
+        "best angle, azimuth 6 tips the sensor. A dash: blind, or more than one trial in a hundred "
+        "without a solution. The joint estimator with four positions is held to sqrt(2) by their "
+        "geometry; refined, a quarter of the time goes there and the rest to the two best angles (east "
+        "and west when level). Refused: flagged as ambiguous, so that no heading would be published.",
         *table(header, rows), "",
         "Refined beyond the limit: " + ("; ".join(missed) or "none") + ".", "",
-        f"With level, latitude, table zero, scale factor and skew all perturbed by their priors, {trials * 4} "
-        f"trials at each attitude, the mean of (error / deviation)^2 is {min(perturbed):.3f} to "
-        f"{max(perturbed):.3f} (limit 0.97 to 1.03)."]
+        "With level, latitude, table zero, scale factor and skew all perturbed by their priors, "
+        f"{trials * 4} trials at each attitude, the mean of (error / deviation)^2 is {min(perturbed):.3f} "
+        f"to {max(perturbed):.3f} (limit 0.97 to 1.03)."]
 
 
 def rms(values):
@@ -570,9 +566,8 @@ def branch_section():
         wrong, flagged = branch_shares(low, high, np.random.default_rng([SEED, 4, low]))
         rows.append((words, f"{100 * wrong:.3f} %", wrong_limit, f"{100 * flagged:.2f} %", flag_limit))
     return ["## Branches", "",
-            "10 000 random attitudes in each range of tilt, latitude within 60 deg, navigation grade, 600 s "
-            "at "
-            "four positions, no compass. Wrong: more than six stated deviations off.",
+            "10 000 random attitudes in each range of tilt, latitude within 60 deg, navigation grade, 600 "
+            "s at four positions, no compass. Wrong: more than six stated deviations off.",
             *table(("tilt", "wrong and unflagged", "limit", "flagged", "limit"), rows)]
 
 
@@ -619,8 +614,7 @@ def time_section(plots):
     draw_time(plots / "heading_against_time.png")
     return ["## Heading against time", "",
             "Level, latitude 35 deg, white and 1/f noise, 15 s at each angle of the palindrome. Predicted "
-            "from "
-            "the exact covariance of the dwells; the Monte Carlo solves 1000 simulated runs.",
+            "from the exact covariance of the dwells; the Monte Carlo solves 1000 simulated runs.",
             *table(("grade", "time, s", "palindrome, deg", "Monte Carlo, deg", "one slow pass, deg",
                     "1/f part of the palindrome, deg"), rows), "",
             f"One slow pass through four positions never does better than its floor, whatever the time, "
@@ -701,13 +695,11 @@ def effects_section():
     clean, mean, robust = outlier_rms_deg()
     return ["## What each imperfection does", "",
             "Heading error of the joint estimator, deg, level table at latitude 35 deg: the largest over "
-            "headings "
-            "0, 15, ... 345 deg.",
+            "headings 0, 15, ... 345 deg.",
             *table(("imperfection", "heading error", "limit"),
                    [(name, f"{value:.4f}", limit) for name, value, limit in rows]), "",
-            "Outliers: 5 % of the samples with 50 times the noise, tactical grade, 600 s, 200 samples, 500 "
-            "trials: "
-            f"RMS {clean:.2f} deg clean, {mean:.2f} with the mean, {robust:.2f} robust, "
+            "Outliers: 5 % of the samples with 50 times the noise, tactical grade, 600 s, 200 samples, "
+            f"500 trials: RMS {clean:.2f} deg clean, {mean:.2f} with the mean, {robust:.2f} robust, "
             f"{100 * (robust / clean - 1):.1f} % more than clean (limit 10 %)."]
 
 
