@@ -96,6 +96,22 @@ def noise_covariance(schedule, noise_density, bias_instability=0.0):
     return covariance
 
 
+def turning_noise_density(noise_density, bias_instability, rate):
+    """Return the density of the noise that a steadily turning table lets into the heading.
+
+    Turning moves the Earth rate to the frequency of the turn, where 1/f noise has this much left.
+
+    Parameters
+    ----------
+    noise_density : float, rad/s/sqrt(Hz)
+    bias_instability : float, rad/s
+    rate : float, rad/s
+        Of the table, not zero.
+    """
+    # Density B^2 / (2 pi f) at f = rate / (2 pi).
+    return math.sqrt(noise_density ** 2 + (bias_instability / _ALLAN_FLOOR) ** 2 / abs(rate))
+
+
 def predicted_heading_std(schedule, noise_density, bias_instability, roll, pitch, heading, latitude):
     """Return the heading's standard deviation expected of one x gyro on a schedule, rad.
 

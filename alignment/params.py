@@ -7,7 +7,7 @@ from inertial.parameters import check_parameters, parameter
 
 METHODS = ("joint", "azimuth_1a", "azimuth_1b", "azimuth_2", "azimuth_3", "azimuth_4", "azimuth_5",
            "azimuth_6")
-SEQUENCES = ("palindrome", "single_pass", "refined", "continuous")
+SEQUENCES = ("palindrome", "single_pass", "refined")
 _DEG = math.pi / 180
 _DEG_PER_HOUR = _DEG / 3600
 

@@ -21,6 +21,7 @@ from inertial.rotation import roll_pitch_from_down
 _SAME_ANGLE = math.radians(0.5)
 _LONGEST_FORECAST = 24 * 3600.0
 _HALF_TURN = (0.0, math.pi)
+_TURNED_BACK = 0.1  # share of the time from which a table counts as turning both ways
 
 
 @dataclass(frozen=True)
@@ -234,6 +235,57 @@ class TableAlignment:
         duration = [dwell.duration for dwell in chosen]
         rates = [dwell.gyro_b[2 if position == "tipped" else 0] for dwell in chosen]
         return np.average(rates, weights=duration), self.params.gyro_noise_density ** 2 / sum(duration)
+
+
+def align_turning(time, angle, gyro_b, accel_b, params):
+    """Return level and heading from raw samples of a table that turns steadily, one way or both.
+
+    Turning both ways cancels what follows the table's own rate: wobble, and misalignment with its axis.
+
+    Parameters
+    ----------
+    time : (N,) float64, s
+        Times of the samples, each the mean of the interval before it, increasing.
+    angle : (N,) float64, rad
+        Table angle in the middle of each interval.
+    gyro_b : (N, 3) float64, rad/s
+    accel_b : (N, 3) float64, m/s^2
+    params : alignment.params.AlignmentParams
+
+    Returns
+    -------
+    AlignmentResult
+
+    Raises
+    ------
+    NotEnoughDataError
+        The table did not turn far enough.
+    UnobservableError
+        The latitude is a pole's.
+    """
+    interval = float(np.median(np.diff(time)))
+    rate = np.gradient(np.unwrap(angle), time)
+    typical = float(np.median(np.abs(rate)))
+    if not typical > 0:
+        raise NotEnoughDataError("the table does not turn: give its dwells to TableAlignment")
+    both_ways = min(np.mean(rate > 0), np.mean(rate < 0)) > _TURNED_BACK
+    density = bounds.turning_noise_density(params.gyro_noise_density, params.gyro_bias_instability, typical)
+    options = {"rate": rate if both_ways else None, "robust": params.robust,
+               "time": time - time[0] if params.estimate_drift else None}
+    force_variance, rate_variance = params.accel_noise_density ** 2 / interval, density ** 2 / interval
+    forces = [(fit_harmonic(angle, accel_b[:, axis], force_variance, **options), 0.5 * math.pi * axis)
+              for axis in (0, 1)]
+    station = TableAlignment(params)
+    level = level_jointly(forces, float(np.mean(accel_b[:, 2])), params, station.gravity)
+    if math.isnan(params.latitude) or np.isnan(level.roll):
+        return AlignmentResult(level, None, math.nan, math.inf)
+    fit_x, fit_y = (fit_harmonic(angle, gyro_b[:, axis], rate_variance, **options) for axis in (0, 1))
+    north = find_north(fit_x, fit_y if params.use_y_gyro else None, [level.roll, level.pitch],
+                       level.covariance, params.latitude, params.priors)
+    flicker_share = 1 - (params.gyro_noise_density / density) ** 2
+    floor = float(north.std) * math.sqrt(flicker_share)
+    missing = max((float(north.std) / params.target_std) ** 2 - 1, 0.0)
+    return AlignmentResult(level, north, floor, missing * float(time[-1] - time[0]))
 
 
 def _widened(fit, added):

@@ -96,8 +96,7 @@ def heading_lines(trials):
     return [
         "# North finding on a turntable", "",
         f"Made by `study_north_finding` from commit {commit.stdout.strip() or 'unknown'}, seed {SEED}, "
-        f"{trials} "
-        "trials a row.", "",
+        f"{trials} trials a row.", "",
         "One gyro and one accelerometer on a turntable at rest find level and true north. First the "
         "paper's own tables and figures beside the same equations (as corrected) computed here; then what "
         "the joint estimator does, which uses every reading and needs neither a compass nor a choice "

@@ -10,8 +10,8 @@ from alignment.dwells import Dwell, reduce_dwell
 from alignment.errors import NotEnoughDataError
 from alignment.params import AlignmentParams
 from alignment.results import Quality, wrap_angle
-from alignment.sequences import FOUR_POSITIONS, indexed_schedule
-from alignment.station import TableAlignment
+from alignment.sequences import FOUR_POSITIONS, continuous_rotation, indexed_schedule
+from alignment.station import TableAlignment, align_turning
 from alignment.turntable import TriadErrors, Turntable, exact_readings, simulate_readings
 
 DEG = np.pi / 180
@@ -178,3 +178,34 @@ def test_overlapping_dwells_are_refused():
     assert station.add(overlapping) == "it overlaps the dwell before"
     station.reset()
     assert (station.dwells, station.rejected) == ((), [])
+
+
+@pytest.mark.parametrize("both_ways", [True, False])
+def test_a_turning_table_is_aligned_from_its_samples(both_ways):
+    schedule = continuous_rotation(6 * DEG, 600.0, 0.05, both_ways)
+    table = _table(20, -15, 140)
+    noise = TriadErrors(bias=NOISE.bias, noise_density=NOISE.noise_density)
+    readings = simulate_readings(table, schedule, noise, FORCE_NOISE, np.random.default_rng(7))
+    result = align_turning(schedule.end, schedule.angle, readings.gyro_b, readings.accel_b, PARAMS)
+    assert result.believable
+    assert abs(wrap_angle(result.north.heading - table.heading)) < SIGMAS * result.north.std
+    assert result.north.std < 0.1 * DEG
+    assert result.level.roll == pytest.approx(table.roll, abs=1e-3)
+
+
+def test_turning_both_ways_removes_wobble_and_misalignment():
+    table = Turntable(0.1, 0.1, 1.0, LATITUDE, wobble=DEG / 3600)
+    skewed = TriadErrors(misalignment=1e-3)
+    for both_ways, limit in ((True, 0.01 * DEG), (False, 1.0 * DEG)):
+        schedule = continuous_rotation(6 * DEG, 240.0, 0.05, both_ways)
+        readings = simulate_readings(table, schedule, skewed, TriadErrors(), np.random.default_rng(8))
+        result = align_turning(schedule.end, schedule.angle, readings.gyro_b, readings.accel_b, PARAMS)
+        # What x and y take from each other turns them opposite ways, so that both together do not turn.
+        error = abs(wrap_angle(result.north.heading - table.heading))
+        assert 0.1 * limit * (not both_ways) <= error <= limit
+
+
+def test_a_table_at_rest_does_not_turn():
+    time, angle, gyro_b, accel_b = _samples()
+    with pytest.raises(NotEnoughDataError, match="does not turn"):
+        align_turning(time, angle, gyro_b, accel_b, PARAMS)
