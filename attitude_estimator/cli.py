@@ -5,6 +5,7 @@ what ``attitude_node`` would have published. Parts of a recording are decoded, e
 """
 
 import argparse
+import difflib
 import time
 from collections import Counter
 from pathlib import Path
@@ -93,6 +94,9 @@ class BagEstimator:
         self.counts["malformed"] += len(batch.malformed)
         before = np.searchsorted(imu_index, places)
         for place, stamp_ns, fields in zip(batch.index, batch.stamp_ns, batch.values, strict=True):
+            if stamp_ns <= 0:
+                self.counts["altitude_no_stamp"] += 1
+                continue
             try:
                 altitude, variance = self._source.convert(fields)
             except AltitudeRefusedError as error:
@@ -204,16 +208,29 @@ def _parameters(options):
     values = load_parameter_file(options.params, "attitude_node", names) if options.params else {}
     for text in options.set:
         name, separator, value = text.partition(":=")
-        if not separator or name not in names:
-            raise ValueError(f"-p {text}: expected NAME:=VALUE with NAME a parameter of attitude_node")
+        if not separator:
+            raise ValueError(f"-p {text}: expected NAME:=VALUE")
+        if name not in names:
+            (near,) = difflib.get_close_matches(name, names, 1, 0.0)
+            raise ValueError(f"-p {text}: there is no parameter {name}; did you mean {near}?")
         values[name] = parse_value(value)
     return params_from_values(AttitudeNodeParams, values)
 
 
 def parse_value(text):
-    """Return a parameter value as ROS reads it from a command line."""
+    """Return a parameter value as ROS reads it from a command line.
+
+    Raises
+    ------
+    ValueError
+        It is not YAML.
+    """
     from ruamel.yaml import YAML
-    return YAML(typ="safe").load(text)
+    from ruamel.yaml.error import YAMLError
+    try:
+        return YAML(typ="safe").load(text)
+    except YAMLError as error:
+        raise ValueError(f"{text!r} is not a parameter value: {error.problem}") from error
 
 
 def _parser():

@@ -5,6 +5,7 @@ stamp; an altitude counts at its own stamp, also when it comes late. Subscriptio
 serialized messages, because making message objects costs more than the estimate.
 """
 
+import difflib
 import math
 import sys
 import time
@@ -17,10 +18,12 @@ from geometry_msgs.msg import PointStamped, TransformStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import FluidPressure, Imu
 from std_srvs.srv import SetBool, Trigger
 
@@ -40,7 +43,7 @@ from nav_ros.messages import (
     StampedEncoder,
     decode,
 )
-from nav_ros.parameters import declare_parameters, on_change
+from nav_ros.parameters import declare_parameters, on_change, parameter_names
 from nav_ros.time_gate import StampCode, TimeGate
 
 SENSOR_QOS = QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=1000)
@@ -89,6 +92,7 @@ class AttitudeNode(Node):
         # The altimeter first: of two messages that wait together, it is taken before the IMU's.
         self._subscribe_altimeters()
         self._subscribe(Imu, "imu/data_raw", self._on_imu)
+        self._tell_unknown_parameters()
         self.get_logger().info("ready")
 
     def _compiled_estimator(self):
@@ -101,6 +105,13 @@ class AttitudeNode(Node):
         if took > SLOW_START:
             self.get_logger().info(f"kernels ready after {took:.1f} s; later starts reuse them")
         return AttitudeEstimator(self._params)
+
+    def _tell_unknown_parameters(self):
+        """Warn of parameters that were given but are nobody's; rclpy drops them without a word."""
+        for name in self._parameter_overrides:
+            if not self.has_parameter(name):
+                (near,) = difflib.get_close_matches(name, parameter_names(AttitudeNodeParams), 1, 0.0)
+                self.get_logger().warning(f"there is no parameter {name}; did you mean {near}?")
 
     def _transform_broadcaster(self):
         try:
@@ -179,6 +190,9 @@ class AttitudeNode(Node):
             self._altimeters[name] = arrival_ns
             try:
                 stamp_ns, _, values = decode(message_type, raw)
+                if stamp_ns <= 0:
+                    self._fault("altitude_no_stamp", f"{name}: no valid stamp", Level.ERROR)
+                    return
                 altitude, variance = source.convert(values)
                 self._altitude_meter.add(stamp_ns, arrival_ns)
                 if self._use_altitude and not self._two_altimeters(arrival_ns):
@@ -268,8 +282,12 @@ class AttitudeNode(Node):
         self._last_fault[name] = (level, text)
         count = self._counts[name]
         if count == 10 ** round(math.log10(count)):
-            log = self.get_logger().error if level == Level.ERROR else self.get_logger().warning
-            log(text if count == 1 else f"{text} ({count} times)")
+            told = text if count == 1 else f"{text} ({count} times)"
+            # Two calls: rclpy refuses one that logs with a severity and later with another.
+            if level == Level.ERROR:
+                self.get_logger().error(told)
+            else:
+                self.get_logger().warning(told)
 
     def _watch(self):
         """Report once a second, and at once when the IMU falls silent or comes back."""
@@ -355,22 +373,39 @@ class AttitudeNode(Node):
 
 
 def main():
-    """Run the node until it is interrupted or shut down."""
-    rclpy.init()
+    """Run the node until it is interrupted or shut down; return its exit status."""
+    try:
+        rclpy.init()
+        _refuse_other_arguments()
+    except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError, ValueError) as error:
+        # What follows is the place in the source of ROS.
+        print(f"attitude_node: {str(error).partition(', at /')[0]}", file=sys.stderr)
+        return 2
     node = None
     try:
-        node = AttitudeNode()
+        try:
+            node = AttitudeNode()
+        except ValueError as error:
+            print(f"attitude_node: {error}", file=sys.stderr)
+            return 2
         rclpy.spin(node)
-    except ValueError as error:
-        print(f"attitude_node: {error}", file=sys.stderr)
-        return 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except rclpy_implementation.RCLError:
+        # A signal may end the context in the middle of a call.
+        if rclpy.ok():
+            raise
     finally:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _refuse_other_arguments():
+    others = remove_ros_args(sys.argv)[1:]
+    if others:
+        raise ValueError(f"unknown argument {others[0]}: parameters and remaps come after --ros-args")
 
 
 if __name__ == "__main__":
