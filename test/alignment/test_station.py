@@ -1,5 +1,6 @@
 """Raw samples to dwells, and dwells one by one to level and heading."""
 
+import dataclasses
 import math
 import re
 
@@ -193,16 +194,18 @@ def test_a_turning_table_is_aligned_from_its_samples(both_ways):
     assert result.level.roll == pytest.approx(table.roll, abs=1e-3)
 
 
-def test_turning_both_ways_removes_wobble_and_misalignment():
+@pytest.mark.parametrize("both_ways, use_y, low_deg, high_deg, flags", [
+    (True, False, 0.0, 0.001, Quality(0)), (False, False, 0.1, 1.0, Quality.INCONSISTENT),
+    (True, True, 0.0, 0.001, Quality(0)), (False, True, 0.0, 0.001, Quality.INCONSISTENT)])
+def test_wobble_cancels_by_turning_back_and_is_noticed_otherwise(both_ways, use_y, low_deg, high_deg, flags):
     table = Turntable(0.1, 0.1, 1.0, LATITUDE, wobble=DEG / 3600)
-    skewed = TriadErrors(misalignment=1e-3)
-    for both_ways, limit in ((True, 0.01 * DEG), (False, 1.0 * DEG)):
-        schedule = continuous_rotation(6 * DEG, 240.0, 0.05, both_ways)
-        readings = simulate_readings(table, schedule, skewed, TriadErrors(), np.random.default_rng(8))
-        result = align_turning(schedule.end, schedule.angle, readings.gyro_b, readings.accel_b, PARAMS)
-        # What x and y take from each other turns them opposite ways, so that both together do not turn.
-        error = abs(wrap_angle(result.north.heading - table.heading))
-        assert 0.1 * limit * (not both_ways) <= error <= limit
+    schedule = continuous_rotation(6 * DEG, 240.0, 0.05, both_ways)
+    readings = exact_readings(table, schedule.angle, schedule.rate)
+    result = align_turning(schedule.end, schedule.angle, readings.gyro_b, readings.accel_b,
+                           dataclasses.replace(PARAMS, use_y_gyro=use_y, robust=False))
+    error_deg = np.degrees(abs(wrap_angle(result.north.heading - table.heading)))
+    assert low_deg <= error_deg <= high_deg
+    assert result.north.flags == flags
 
 
 def test_a_table_at_rest_does_not_turn():
