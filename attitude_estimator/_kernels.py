@@ -65,11 +65,11 @@ PARAMETER_NAMES = (
 
 
 # One row of output.
-(OUT_VALID, OUT_Q, OUT_TILT_COV, OUT_YAW_VAR, OUT_DOWN, OUT_VD, OUT_ALT, OUT_VD_VAR, OUT_ALT_VAR,
+(OUT_VALID, OUT_Q, OUT_TILT_COV, OUT_YAW_VAR, OUT_DOWN, OUT_NORM, OUT_VD, OUT_ALT, OUT_VD_VAR, OUT_ALT_VAR,
  OUT_BG, OUT_BA, OUT_BG_VAR, OUT_BA_VAR, OUT_GYRO, OUT_ACCEL, OUT_SIZE) = _offsets(
     1,  # 1 while there is an attitude
     4, 3, 1,  # q_nb_wxyz; covariance NN, NE, EE of the tilt, rad^2; variance of the yaw
-    3, 1, 1, 1, 1,  # down_b; velocity down and altitude with their variances
+    3, 1, 1, 1, 1, 1,  # down_b, its length before normalising; velocity down and altitude, variances
     3, 3, 3, 3,  # biases of gyro and accelerometer, then their variances
     3, 3)  # rate and force with the bias removed
 
@@ -78,10 +78,10 @@ HISTORY = 1024  # IMU samples that can be taken back
 ALTITUDES = 128  # altitudes remembered
 (I_HEAD, I_STORED, I_ALTITUDES, I_NEXT, I_LAST_STAMP, I_COUNTS) = range(6)
 FAULTS = ("gyro_not_finite", "accel_not_finite", "gyro_out_of_range", "accel_out_of_range",
-          "clipped", "stuck", "restarted", "altitude_not_finite", "altitude_late",
+          "accel_zero", "clipped", "stuck", "restarted", "altitude_not_finite", "altitude_late",
           "altitude_ahead", "altitude_duplicate")
 (F_GYRO_NOT_FINITE, F_ACCEL_NOT_FINITE, F_GYRO_OUT_OF_RANGE, F_ACCEL_OUT_OF_RANGE,
- F_CLIPPED, F_STUCK, F_RESTARTED, F_ALT_NOT_FINITE, F_ALT_LATE,
+ F_ACCEL_ZERO, F_CLIPPED, F_STUCK, F_RESTARTED, F_ALT_NOT_FINITE, F_ALT_LATE,
  F_ALT_AHEAD, F_ALT_DUPLICATE) = range(len(FAULTS))
 I_STAMPS = I_COUNTS + len(FAULTS)
 I_ALT_STAMPS = I_STAMPS + HISTORY
@@ -238,7 +238,7 @@ def _carry_mean(m, dt, g, r, jv, jh):
 
 @njit(cache=True)
 def row_predict(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
-    """Carry the default filter over dt (m) of constant rate and force, biases not yet removed.
+    """Carry the default filter over dt (s) of constant rate and force, biases not yet removed.
 
     gyro_var (rad^2) and accel_var (m^2/s^2) are variances that this interval adds to the angles and to
     the velocity because part of the sample is lost, held or clipped.
@@ -299,6 +299,10 @@ def _carry_gravity(m, dt, r, c, fx, fy, fz, force_known):
         _rotate(m, GRAVITY_BG + j, 3, r, keep)
         _rotate(m, GRAVITY_BA + j, 3, r, keep)
         m[GRAVITY_BA + 4 * j] += gain
+    if m[ATTITUDE] == 0.0 and keep > 0.0:
+        # Before there is a down direction, gravity's low-pass stands for it.
+        g = -keep * m[P_GRAVITY]
+        c = (m[GRAVITY] / g, m[GRAVITY + 1] / g, m[GRAVITY + 2] / g)
     k = keep * dt
     m[GRAVITY_BG + 1] -= k * c[2]
     m[GRAVITY_BG + 2] += k * c[1]
@@ -394,6 +398,16 @@ def _level_north(m):
 
 
 @njit(cache=True)
+def _expected_residual(m):
+    """Squared gravity residual, (m/s^2)^2, that errors of tilt and accelerometer bias explain."""
+    tilt = m[P] + m[P + N + 1] + m[P + 2 * (N + 1)]
+    bias = 0.0
+    for i in range(BA, N):
+        bias += m[P + (N + 1) * i]
+    return m[P_GRAVITY] ** 2 * tilt + bias
+
+
+@njit(cache=True)
 def _gravity_variance(m, elapsed):
     """Variance of one gravity component: how much the low-passed force may be acceleration."""
     g, t = m[P_GRAVITY], m[ELAPSED]
@@ -410,6 +424,8 @@ def _gravity_variance(m, elapsed):
     slow = max(elapsed / (NORM_TIME + elapsed), min(1.0, elapsed / t))
     m[NORM_EXCESS] += slow * (norm2 - g * g - m[NORM_EXCESS])
     m[FREE_FALL] = 1.0 if norm2 < (FREE_FALL_SHARE * g) ** 2 else 0.0
+    if residual > 16.0 * (m[P_REST_ACCEL_STD] ** 2 + _expected_residual(m)):
+        m[REST] = 0.0  # a steady braking or climb is as quiet as rest
     if m[REST] >= REST_TIME:
         return m[P_REST_ACCEL_STD] ** 2 * max(1.0, 1.0 / elapsed)
     excess = max(m[NORM_EXCESS] - 2.0 * g * m[P_NORM_MARGIN], 0.0)
@@ -449,7 +465,7 @@ def _rest_update(m, elapsed):
     """At rest the low-passed gyro is its bias; a component 4 sigma off is left out."""
     noise = m[P_REST_GYRO_STD] ** 2 * max(1.0, 1.0 / elapsed)
     for i in range(3):
-        y = m[GYRO_LP + i] - m[X + BG + i]
+        y = m[GYRO_LP + i] - m[X + BG + i] - m[P_EARTH_RATE_DOWN] * m[X + i]
         variance = m[P + (N + 1) * (BG + i)] + noise
         if y * y < 16.0 * variance:
             for k in range(N):
@@ -525,7 +541,7 @@ def _transition5(m, r, jv, jh, dt):
 
 @njit(cache=True)
 def row5_predict(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
-    """Carry the paper's filter over dt (m) of constant rate and force (equations 26 to 31)."""
+    """Carry the paper's filter over dt (s) of constant rate and force (equations 26 to 31)."""
     down_rate = m[P_EARTH_RATE_DOWN]
     wx -= down_rate * m[X]
     wy -= down_rate * m[X + 1]
@@ -580,7 +596,7 @@ def _track(m, dt, wx, wy, wz, fx, fy, fz):
         dw2 += (w[i] - m[GYRO_LP + i]) ** 2
         df2 += (f[i] - m[ACCEL_LP + i]) ** 2
         if m[P_MODEL] == 0.0:
-            bias = m[GYRO_LP + i] - m[X + BG + i]
+            bias = m[GYRO_LP + i] - m[X + BG + i] - m[P_EARTH_RATE_DOWN] * m[X + i]
             turning |= bias * bias > 16.0 * (m[P + (N + 1) * (BG + i)] + m[P_REST_GYRO_STD] ** 2)
     m[GYRO_SPREAD] += gain * (dw2 - m[GYRO_SPREAD])
     m[ACCEL_SPREAD] += gain * (df2 - m[ACCEL_SPREAD])
@@ -592,7 +608,7 @@ def _track(m, dt, wx, wy, wz, fx, fy, fz):
 
 @njit(cache=True)
 def imu_step(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, force_known):
-    """One checked sample: the mean over the dt (m) before its stamp; rad/s and m/s^2, FRD."""
+    """One checked sample: the mean over the dt (s) before its stamp; rad/s and m/s^2, FRD."""
     m[ELAPSED] += dt
     m[SINCE_ALT] += dt
     m[SINCE_GRAVITY] += dt
@@ -606,7 +622,7 @@ def imu_step(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, force_known):
     if m[P_MODEL] == 0.0:
         r, c = row_predict(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var)
         _carry_gravity(m, dt, r, c, fx, fy, fz, force_known)
-        if m[SINCE_GRAVITY] >= GRAVITY_PERIOD - 0.25 * dt:
+        if force_known and m[SINCE_GRAVITY] >= GRAVITY_PERIOD - 0.25 * dt:
             row_gravity_update(m, m[SINCE_GRAVITY])
             m[SINCE_GRAVITY] = 0.0
     else:
@@ -670,6 +686,7 @@ def write_output(m, out):
     out[OUT_VALID] = m[ATTITUDE]
     d0, d1, d2 = m[X], m[X + 1], m[X + 2]
     norm = math.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+    out[OUT_NORM] = norm
     inv = 1.0 / norm if norm > 0.0 else 0.0
     d = (d0 * inv, d1 * inv, d2 * inv)
     a = (m[NORTH], m[NORTH + 1], m[NORTH + 2])
@@ -741,6 +758,12 @@ def reset(m):
     """Forget everything but the counters."""
     initialise(m)
     _forget_history(_integers(m))
+
+
+@njit(cache=True)
+def declare_attitude(m):
+    """Take the down direction in the state as an attitude."""
+    _level_north(m)
 
 
 @njit(cache=True)
@@ -828,6 +851,9 @@ def _take_imu(m, ints, stamp, wx, wy, wz, fx, fy, fz):
     """
     gyro_ok = _vector_ok(ints, F_GYRO_NOT_FINITE, F_GYRO_OUT_OF_RANGE, m[P_GYRO_RANGE], wx, wy, wz)
     force_ok = _vector_ok(ints, F_ACCEL_NOT_FINITE, F_ACCEL_OUT_OF_RANGE, m[P_ACCEL_RANGE], fx, fy, fz)
+    if fx == 0.0 and fy == 0.0 and fz == 0.0:
+        ints[I_COUNTS + F_ACCEL_ZERO] += 1  # no sensor in free fall reads three zeros
+        force_ok = False
     dt = (stamp - ints[I_LAST_STAMP]) * 1e-9
     if ints[I_STORED] > 0 and dt > m[P_GAP_LIMIT]:
         ints[I_COUNTS + F_RESTARTED] += 1

@@ -75,7 +75,7 @@ class BagEstimator:
     def faults(self):
         """Name -> count of everything that was refused or bridged."""
         counts = {name: count for name, count in self.counts.items() if name != "samples"}
-        return {name: count for name, count in (counts | vars(self._estimator.faults)).items() if count}
+        return {name: count for name, count in (vars(self._estimator.faults) | counts).items() if count}
 
     def _altitudes(self, part, imu_index):
         """Return the altitudes of a part and their variances; arrival counts decoded IMU messages."""

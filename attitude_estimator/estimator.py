@@ -39,6 +39,9 @@ class Estimates:
         Of the small rotation about the north and east axes of the estimate's own NED frame.
     yaw_variance : (N,), rad^2
     down_b : (N, 3)
+    down_norm : (N,)
+        Length of the filter's down direction before it was normalised; what it is off one shows its
+        constraint at work.
     vd, altitude, vd_variance, altitude_variance : (N,), m/s, m and their squares
     gyro_bias_b, accel_bias_b, gyro_bias_variance, accel_bias_variance : (N, 3), rad/s, m/s^2
     gyro_b, accel_b : (N, 3), rad/s and m/s^2, the sample with the bias removed
@@ -75,6 +78,10 @@ class Estimates:
     @property
     def down_b(self):
         return self._columns(kernels.OUT_DOWN, 3)
+
+    @property
+    def down_norm(self):
+        return self.rows[..., kernels.OUT_NORM]
 
     @property
     def vd(self):
@@ -127,11 +134,12 @@ class AttitudeEstimator:
 
     def __init__(self, params=None):
         self._memory = np.zeros(kernels.MEMORY_SIZE)
-        self._state = self._memory[kernels.M_STATE:kernels.M_PARAMETERS]
-        self._out = self._memory[kernels.M_OUT:kernels.M_INTS]
-        self._ints = self._memory[kernels.M_INTS:kernels.M_ALTITUDES].view(np.int64)
         self.params = AttitudeParams() if params is None else params
         self.reset()
+
+    @property
+    def _ints(self):
+        return self._memory[kernels.M_INTS:kernels.M_ALTITUDES].view(np.int64)
 
     @property
     def params(self):
@@ -146,6 +154,31 @@ class AttitudeEstimator:
     def reset(self):
         """Forget everything but the fault counters, and start blind."""
         kernels.reset(self._memory)
+
+    def start_at(self, down_b, tilt_std):
+        """Start anew from a known attitude instead of blind.
+
+        Parameters
+        ----------
+        down_b : (3,)
+            Down direction in body axes; its length does not matter.
+        tilt_std : float, rad
+            Of the angle between it and the true one, 0.0 to 0.1.
+
+        Raises
+        ------
+        ValueError
+        """
+        down_b = np.asarray(down_b, float) / np.linalg.norm(down_b)
+        if not (np.all(np.isfinite(down_b)) and 0.0 <= tilt_std <= 0.1):
+            raise ValueError(f"down_b = {down_b}, tilt_std = {tilt_std} rad: must be a direction and "
+                             "from 0 to 0.1 rad")
+        self.reset()
+        n = kernels.N if self._params.estimator == "dcm_row" else kernels.N5
+        covariance = self._memory[kernels.P:kernels.P + n * n].reshape(n, n)
+        covariance[:3, :3] = 0.5 * tilt_std**2 * (np.eye(3) - np.outer(down_b, down_b))
+        self._memory[kernels.X:kernels.X + 3] = down_b
+        kernels.declare_attitude(self._memory)
 
     def add_imu(self, stamp_ns, gyro_b, accel_b):
         """Take one IMU sample.
@@ -185,18 +218,19 @@ class AttitudeEstimator:
     @property
     def estimate(self):
         """Estimates after the last sample, as a copy."""
-        return Estimates(self._ints[kernels.I_LAST_STAMP], self._out.copy())
+        row = self._memory[kernels.M_OUT:kernels.M_INTS].copy()
+        return Estimates(self._ints[kernels.I_LAST_STAMP], row)
 
     @property
     def free_fall(self):
         """Whether the low-passed force is too small to show where down is."""
-        return bool(self._state[kernels.FREE_FALL])
+        return bool(self._memory[kernels.FREE_FALL])
 
     @property
     def waiting_for(self):
         """What an attitude is missing while there is none."""
         if self._ints[kernels.I_STORED] == 0:
-            return "a first good IMU sample"
+            return "a first good IMU sample: rate and force finite, in range and not all zero"
         if self.free_fall:
             return "a force of the size of gravity"
         return "gravity or altitude to settle the direction of down"
@@ -249,6 +283,8 @@ class AttitudeEstimator:
                             stamps, values, variances, arrival, rows, fresh)
         if taken < len(imu):
             self._complain(imu.stamp_ns[taken])
+        if fresh.any():
+            self._memory[kernels.M_OUT:kernels.M_INTS] = rows[np.flatnonzero(fresh)[-1]]
         if fresh.all():
             return Estimates(imu.stamp_ns, rows), fresh
         return Estimates(imu.stamp_ns[fresh], rows[fresh]), fresh

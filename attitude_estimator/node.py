@@ -46,8 +46,10 @@ from nav_ros.messages import (
 from nav_ros.parameters import declare_parameters, on_change, parameter_names
 from nav_ros.time_gate import StampCode, TimeGate
 
-SENSOR_QOS = QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=1000)
-OUTPUT_QOS = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_LAST, depth=1000)
+DEPTH = 1000  # messages; half a second of a fast IMU while the machine is busy elsewhere
+SENSOR_QOS = QoSProfile(depth=DEPTH, history=HistoryPolicy.KEEP_LAST,
+                        reliability=ReliabilityPolicy.BEST_EFFORT)
+OUTPUT_QOS = QoSProfile(depth=DEPTH, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 MESSAGE_TYPES = {"imu/data": Imu, "imu/rpy/filtered": Vector3Stamped, "attitude/state": Odometry,
                  "imu/gyro_bias": Vector3Stamped, "imu/accel_bias": Vector3Stamped}
 WATCH_PERIOD = 0.2  # s, how soon a silent IMU is told
@@ -57,6 +59,8 @@ SILENT_PERIODS = 5
 ALTITUDE_SILENCE = 2.0  # s without a usable altitude before a warning
 ERROR_SHARE = 0.01  # of refused samples
 STUCK_ERROR_SAMPLES = 500
+BACKLOG = 1000  # messages served in one turn
+TWO_ALTIMETERS_NS = 5_000_000_000  # within which both have been heard
 SLOW_START = 1.0  # s of compilation worth telling
 
 
@@ -77,12 +81,12 @@ class AttitudeNode(Node):
         self._encoders = {}
         self._slot = None
         self._use_altitude = True
-        self._altimeters = {}
+        self._altimeter_heard = {}
         self._watches = 0
         self._silent = False
         self._tf = self._transform_broadcaster() if self._params.publish_tf else None
         on_change(self, self._params, self._apply)
-        self._subscribers = Counter()
+        self._subscribers = {}
         self._outputs = {topic: self._advertise(topic) for topic in OUTPUT_TYPES}
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -90,8 +94,8 @@ class AttitudeNode(Node):
         self.create_service(SetBool, "~/use_altitude", self._on_use_altitude)
         self.create_timer(WATCH_PERIOD, self._watch)
         # The altimeter first: of two messages that wait together, it is taken before the IMU's.
-        self._subscribe_altimeters()
-        self._subscribe(Imu, "imu/data_raw", self._on_imu)
+        self._altimeters = self._subscribe_altimeters()
+        self._imu = self._subscribe(Imu, "imu/data_raw", self._on_imu)
         self._tell_unknown_parameters()
         self.get_logger().info("ready")
 
@@ -122,27 +126,30 @@ class AttitudeNode(Node):
         return TransformBroadcaster(self)
 
     def _advertise(self, topic):
-        def matched(info):
-            self._subscribers[topic] = info.current_count
-        return self.create_publisher(
-            MESSAGE_TYPES[topic], topic, OUTPUT_QOS,
-            event_callbacks=PublisherEventCallbacks(matched=matched,
-                                                    incompatible_qos=self._on_bad_qos(topic)),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        # Each event handler costs every turn of the executor, so only the main topics have one.
+        events = PublisherEventCallbacks(
+            use_default_callbacks=False,
+            incompatible_qos=self._on_bad_qos(topic) if topic == "imu/data" else None)
+        return self.create_publisher(MESSAGE_TYPES[topic], topic, OUTPUT_QOS, event_callbacks=events,
+                                     qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def _subscribe(self, message_type, topic, callback):
-        self.create_subscription(
-            message_type, topic, callback, SENSOR_QOS, raw=True,
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_bad_qos(topic)),
-            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        events = SubscriptionEventCallbacks(use_default_callbacks=False,
+                                            incompatible_qos=self._on_bad_qos(topic))
+        return self.create_subscription(message_type, topic, callback, SENSOR_QOS, raw=True,
+                                        event_callbacks=events,
+                                        qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def _subscribe_altimeters(self):
+        """Return (subscription, callback) of each altimeter that may be used."""
+        subscriptions = []
         chosen = self._params.altitude_source
         for name, ros_type, message_type in (("altitude", PointStamped, POINT),
                                              ("pressure", FluidPressure, PRESSURE)):
             if chosen in ("auto", name):
-                source = AltitudeSource(message_type)
-                self._subscribe(ros_type, name, self._altitude_callback(name, message_type, source))
+                take = self._altitude_callback(name, message_type, AltitudeSource(message_type))
+                subscriptions.append((self._subscribe(ros_type, name, take), take))
+        return subscriptions
 
     def _on_bad_qos(self, topic):
         def told(info):
@@ -154,6 +161,24 @@ class AttitudeNode(Node):
     # --- input
 
     def _on_imu(self, raw):
+        """Serve one message and those that wait behind it.
+
+        Waking up costs rclpy more than an estimate does, so a node that has fallen behind catches up.
+        """
+        for subscription, take in self._altimeters:
+            self._serve_waiting(subscription, take)
+        self._take_imu(raw)
+        self._serve_waiting(self._imu, self._take_imu)
+
+    def _serve_waiting(self, subscription, take):
+        with subscription.handle:
+            for _ in range(BACKLOG):
+                waiting = subscription.handle.take_message(subscription.msg_type, True)
+                if waiting is None:
+                    return
+                take(waiting[0])
+
+    def _take_imu(self, raw):
         """Outermost guard of the IMU: whatever is wrong with one message, the next one is served."""
         arrival_ns = self.get_clock().now().nanoseconds
         self._counts["imu_messages"] += 1
@@ -187,7 +212,7 @@ class AttitudeNode(Node):
         def take(raw):
             arrival_ns = self.get_clock().now().nanoseconds
             self._counts[f"{name}_messages"] += 1
-            self._altimeters[name] = arrival_ns
+            self._altimeter_heard[name] = arrival_ns
             try:
                 stamp_ns, _, values = decode(message_type, raw)
                 if stamp_ns <= 0:
@@ -206,7 +231,8 @@ class AttitudeNode(Node):
         return take
 
     def _two_altimeters(self, now_ns):
-        both = len(self._altimeters) == 2 and now_ns - min(self._altimeters.values()) < 5_000_000_000
+        heard = self._altimeter_heard.values()
+        both = len(heard) == 2 and now_ns - min(heard) < TWO_ALTIMETERS_NS
         if both:
             self._fault("two_altimeters", "altitude and pressure are both published: choose one by "
                         "altitude_source; neither is used", Level.ERROR)
@@ -221,7 +247,7 @@ class AttitudeNode(Node):
         slot = self._params.auxiliary_slot(stamp_ns)
         auxiliary, self._slot = slot != self._slot, slot
         for topic, publisher in self._outputs.items():
-            if topic != "imu/data" and not (auxiliary and self._subscribers[topic]):
+            if topic != "imu/data" and not (auxiliary and self._subscribers.get(topic)):
                 continue
             if topic == "imu/rpy/filtered" and not estimate.valid:
                 continue
@@ -292,6 +318,8 @@ class AttitudeNode(Node):
     def _watch(self):
         """Report once a second, and at once when the IMU falls silent or comes back."""
         now_ns = self.get_clock().now().nanoseconds
+        self._subscribers = {topic: publisher.get_subscription_count()
+                             for topic, publisher in self._outputs.items()}
         silent = self._silence(now_ns) > 0.0
         self._watches += 1
         if self._watches % WATCHES_PER_REPORT == 0 or silent != self._silent:
@@ -353,7 +381,8 @@ class AttitudeNode(Node):
             ("no_stamp", StampCode.NO_STAMP), ("gap", StampCode.GAP), ("long_gap", StampCode.LONG_GAP),
             ("stamp_jump_back", StampCode.JUMP_BACK))}
         faults = vars(self._estimator.faults)
-        report.counters(dict(self._counts) | gate | faults)
+        # What is refused here never reaches the estimator, whose counter of that name stays zero.
+        report.counters(faults | dict(self._counts) | gate)
         for level, text in self._last_fault.values():
             report.fault(level, text)
         self._last_fault.clear()
