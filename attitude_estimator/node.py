@@ -141,14 +141,14 @@ class AttitudeNode(Node):
                                         qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def _subscribe_altimeters(self):
-        """Return (subscription, callback) of each altimeter that may be used."""
-        subscriptions = []
+        """Return name -> (subscription, callback) of each altimeter that may be used."""
+        subscriptions = {}
         chosen = self._params.altitude_source
         for name, ros_type, message_type in (("altitude", PointStamped, POINT),
                                              ("pressure", FluidPressure, PRESSURE)):
             if chosen in ("auto", name):
                 take = self._altitude_callback(name, message_type, AltitudeSource(message_type))
-                subscriptions.append((self._subscribe(ros_type, name, take), take))
+                subscriptions[name] = self._subscribe(ros_type, name, take), take
         return subscriptions
 
     def _on_bad_qos(self, topic):
@@ -158,6 +158,10 @@ class AttitudeNode(Node):
                         Level.ERROR)
         return told
 
+    def _now_ns(self):
+        # get_clock().now() makes an object around the same number at several times the cost.
+        return self.get_clock().handle.get_now().nanoseconds
+
     # --- input
 
     def _on_imu(self, raw):
@@ -165,8 +169,8 @@ class AttitudeNode(Node):
 
         Waking up costs rclpy more than an estimate does, so a node that has fallen behind catches up.
         """
-        for subscription, take in self._altimeters:
-            self._serve_waiting(subscription, take)
+        for name in list(self._altimeter_heard):
+            self._serve_waiting(*self._altimeters[name])
         self._take_imu(raw)
         self._serve_waiting(self._imu, self._take_imu)
 
@@ -180,7 +184,7 @@ class AttitudeNode(Node):
 
     def _take_imu(self, raw):
         """Outermost guard of the IMU: whatever is wrong with one message, the next one is served."""
-        arrival_ns = self.get_clock().now().nanoseconds
+        arrival_ns = self._now_ns()
         self._counts["imu_messages"] += 1
         try:
             stamp_ns, frame_id, values = decode(IMU, raw)
@@ -210,7 +214,7 @@ class AttitudeNode(Node):
 
     def _altitude_callback(self, name, message_type, source):
         def take(raw):
-            arrival_ns = self.get_clock().now().nanoseconds
+            arrival_ns = self._now_ns()
             self._counts[f"{name}_messages"] += 1
             self._altimeter_heard[name] = arrival_ns
             try:
@@ -317,7 +321,7 @@ class AttitudeNode(Node):
 
     def _watch(self):
         """Report once a second, and at once when the IMU falls silent or comes back."""
-        now_ns = self.get_clock().now().nanoseconds
+        now_ns = self._now_ns()
         self._subscribers = {topic: publisher.get_subscription_count()
                              for topic, publisher in self._outputs.items()}
         silent = self._silence(now_ns) > 0.0
