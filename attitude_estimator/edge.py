@@ -118,7 +118,7 @@ class OutputMessages:
         values = estimates.rows @ self._matrix[topic]
         if topic == "attitude/state":
             values += self._state_offset
-        elif topic == "imu/data" and not np.all(estimates.valid):
+        elif topic == "imu/data" and not estimates.valid.all():
             unknown = ~np.atleast_1d(estimates.valid)
             table = values.reshape(-1, DOUBLES[IMU])
             table[unknown, ORIENTATION] = [0.0, 0.0, 0.0, 1.0]
