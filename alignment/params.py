@@ -27,8 +27,8 @@ class NorthPriors:
 
 
 @dataclass(frozen=True)
-class AlignmentParams:
-    """Everything a turntable alignment needs to know."""
+class AlignmentParams(NorthPriors):
+    """Everything a turntable alignment needs to know, the priors among it."""
 
     method: str = parameter("joint", "", "How the heading is found.", choices=METHODS)
     latitude: float = parameter(
@@ -45,11 +45,6 @@ class AlignmentParams:
     accel_scale_std: float = parameter(1e-3, "", "Accelerometer scale factor error.", 0.0, 1.0)
     gravity: float = parameter(
         float("nan"), "m/s^2", "Magnitude of gravity.", 1.0, 20.0, nan_means="WGS84 at the latitude")
-    scale_std: float = parameter(1e-3, "", "Gyro scale factor error.", 0.0, 1.0)
-    skew_std: float = parameter(1e-3, "rad", "Each gyro's turn about the table's axis.", 0.0, 0.2)
-    table_zero_std: float = parameter(
-        1e-4, "rad", "Zero of the table's angle; a heading error of the same size.", 0.0, 0.2)
-    latitude_std: float = parameter(1e-5, "rad", "Spread of the latitude.", 0.0, 0.2)
     use_y_gyro: bool = parameter(True, "", "Whether the y gyro counts beside the x one.")
     estimate_drift: bool = parameter(False, "", "Whether a steady drift of the gyro bias is fitted too.")
     sequence: str = parameter("refined", "", "Order of the table angles.", choices=SEQUENCES)
@@ -65,11 +60,3 @@ class AlignmentParams:
     still_threshold: float = parameter(
         5.0, "", "Deviations by which a part of a dwell may differ from the rest.", 2.0)
     robust: bool = parameter(True, "", "Whether single outlying samples are left out.")
-
-    def __post_init__(self):
-        check_parameters(self)
-
-    @property
-    def priors(self):
-        """What the joint estimator takes as known."""
-        return NorthPriors(self.scale_std, self.skew_std, self.table_zero_std, self.latitude_std)

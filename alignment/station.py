@@ -19,6 +19,7 @@ from inertial.earth import STANDARD_GRAVITY, normal_gravity
 from inertial.rotation import roll_pitch_from_down
 
 _SAME_ANGLE = math.radians(0.5)
+_SMALLEST_COS_PITCH = 1e-3  # keeps the roll's variance finite when the table stands on end
 _LONGEST_FORECAST = 24 * 3600.0
 _HALF_TURN = (0.0, math.pi)
 _TURNED_BACK = 0.1  # share of the time from which a table counts as turning both ways
@@ -56,11 +57,6 @@ class TableAlignment:
     Parameters
     ----------
     params : alignment.params.AlignmentParams
-
-    Raises
-    ------
-    UnobservableError
-        Only from :meth:`result`, at a pole.
     """
 
     def __init__(self, params):
@@ -184,7 +180,7 @@ class TableAlignment:
         flicker = self._flicker_of_fit(schedule, fit_x, time)
         fit_x, fit_y = (_widened(fit, flicker) for fit in (fit_x, fit_y))
         north = find_north(fit_x, fit_y if params.use_y_gyro else None, [level.roll, level.pitch],
-                           level.covariance, params.latitude, params.priors)
+                           level.covariance, params.latitude, params)
         return level, north
 
     def _flicker_of_fit(self, schedule, fit, time):
@@ -203,7 +199,7 @@ class TableAlignment:
         force_t = np.array([math.cos(tau) * x - math.sin(tau) * y, math.sin(tau) * x + math.cos(tau) * y, z])
         roll, pitch = roll_pitch_from_down(-force_t)
         variance = (self.params.accel_bias_std / self.gravity) ** 2
-        covariance = variance * np.diag([1 / max(np.cos(pitch), 1e-3) ** 2, 1.0])
+        covariance = variance * np.diag([1 / max(np.cos(pitch), _SMALLEST_COS_PITCH) ** 2, 1.0])
         scale = np.linalg.norm(force_t) / self.gravity
         quality = np.asarray(Quality.SCALE.value if abs(scale - 1) > LARGEST_SCALE_ERROR else 0)
         return LevelResult(roll, pitch, covariance, np.asarray(np.nan), np.asarray(scale), quality)
@@ -281,7 +277,7 @@ def align_turning(time, angle, gyro_b, accel_b, params):
         return AlignmentResult(level, None, math.nan, math.inf)
     fit_x, fit_y = (fit_harmonic(angle, gyro_b[:, axis], rate_variance, **options) for axis in (0, 1))
     north = find_north(fit_x, fit_y if params.use_y_gyro else None, [level.roll, level.pitch],
-                       level.covariance, params.latitude, params.priors)
+                       level.covariance, params.latitude, params)
     flicker_share = 1 - (params.gyro_noise_density / density) ** 2
     floor = float(north.std) * math.sqrt(flicker_share)
     missing = max((float(north.std) / params.target_std) ** 2 - 1, 0.0)
