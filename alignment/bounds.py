@@ -68,8 +68,8 @@ def heading_bound(noise_density, total_time, table_sensitivity, uniform=False, g
 def flicker_covariance(schedule, bias_instability):
     """Return the covariance of the means of 1/f noise over a schedule's intervals, up to a constant.
 
-    ``-B^2/pi`` times the mean of ``ln abs(t - s)`` over each pair of intervals; only weights that add up to
-    nothing have a variance under it.
+    ``-B^2/pi`` times the mean of ``ln abs(t - s)`` over each pair of intervals. Only weights that add up to
+    nothing have a variance under it; the constant is such that the matrix is positive definite.
 
     Parameters
     ----------
@@ -81,11 +81,13 @@ def flicker_covariance(schedule, bias_instability):
     -------
     (K, K) float64
     """
-    start, end = schedule.start, schedule.end
+    # In units of the whole time, in which the logarithm's kernel is positive definite.
+    span = schedule.end[-1] - schedule.start[0]
+    start, end = schedule.start / span, schedule.end / span
     total = (_log_integral(end[:, None] - start) + _log_integral(start[:, None] - end)
              - _log_integral(end[:, None] - end) - _log_integral(start[:, None] - start))
     strength = bias_instability / _ALLAN_FLOOR
-    return -strength ** 2 / math.pi * total / np.outer(schedule.duration, schedule.duration)
+    return -strength ** 2 / math.pi * total / np.outer(end - start, end - start)
 
 
 def noise_covariance(schedule, noise_density, bias_instability=0.0):

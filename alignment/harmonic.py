@@ -54,6 +54,14 @@ class HarmonicFit:
         return self.coefficients[..., 0]
 
     @property
+    def excess(self):
+        """By how many deviations chi2 is larger than its freedom explains (Wilson and Hilferty, 1931)."""
+        if self.freedom < 1:
+            return np.zeros_like(self.chi2)
+        spread = 2 / (9 * self.freedom)
+        return (np.cbrt(self.chi2 / self.freedom) - (1 - spread)) / np.sqrt(spread)
+
+    @property
     def in_plane(self):
         """Cosine and sine coefficients, (..., 2)."""
         return self.coefficients[..., 1:3]

@@ -69,7 +69,8 @@ def find_north(fit_x, fit_y, level, level_covariance, latitude, priors):
         np.full(count, priors.scale_std ** 2), np.full(count, priors.skew_std ** 2), level.reshape(-1, 2),
         np.asarray(level_covariance, dtype=float), float(latitude), priors.latitude_std ** 2,
         priors.table_zero_std ** 2, out)
-    return _result(out.reshape(*shape, 6), channels[0][0].bias, covariance, level, latitude, priors)
+    excess = np.max([fit.excess for fit, _ in channels], axis=0)
+    return _result(out.reshape(*shape, 6), channels[0][0].bias, excess, covariance, level, latitude, priors)
 
 
 def explain_scale(ratio):
@@ -91,7 +92,7 @@ def explain_scale(ratio):
 _Y_TO_PLANE = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
-def _result(out, bias, covariance, level, latitude, priors):
+def _result(out, bias, excess, covariance, level, latitude, priors):
     heading, variance, misfit, second, gap, scale = np.moveaxis(out, -1, 0)
     reach = sensitivity(level[..., 0], level[..., 1], heading, latitude)
     blind = ~(reach >= SINGULAR_SENSITIVITY)
@@ -102,7 +103,8 @@ def _result(out, bias, covariance, level, latitude, priors):
     scale_std = np.sqrt(np.trace(covariance[0]) + priors.scale_std ** 2)
     wrong_scale = np.abs(scale - 1) > LARGEST_SCALE_ERROR + _MISFIT_LIMIT * scale_std
     quality |= np.where(wrong_scale, Quality.SCALE.value, 0)
-    quality |= np.where(misfit > _MISFIT_LIMIT ** 2, Quality.INCONSISTENT.value, 0)
+    scattered = (misfit > _MISFIT_LIMIT ** 2) | (excess > _MISFIT_LIMIT)
+    quality |= np.where(scattered, Quality.INCONSISTENT.value, 0)
     second = np.where(ambiguous, second, np.nan)
     return HeadingResult(np.where(blind, np.nan, heading), np.where(blind, np.nan, variance),
                          np.stack([heading, second], axis=-1), bias, scale, quality, chi2=misfit)

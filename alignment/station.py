@@ -174,23 +174,14 @@ class TableAlignment:
         level = level_jointly(fits, accel_z, params, self.gravity)
         if math.isnan(params.latitude) or np.isnan(level.roll):
             return level, None
-        variance = bounds.noise_covariance(schedule, params.gyro_noise_density, 0.0)
+        covariance = bounds.noise_covariance(
+            schedule, params.gyro_noise_density, params.gyro_bias_instability)
         time = schedule.middle if params.estimate_drift else None
-        fit_x, fit_y = (fit_harmonic(schedule.angle, gyro_b[:, axis], variance, time=time) for axis in (0, 1))
-        flicker = self._flicker_of_fit(schedule, fit_x, time)
-        fit_x, fit_y = (_widened(fit, flicker) for fit in (fit_x, fit_y))
+        fit_x, fit_y = (fit_harmonic(schedule.angle, gyro_b[:, axis], covariance, time=time)
+                        for axis in (0, 1))
         north = find_north(fit_x, fit_y if params.use_y_gyro else None, [level.roll, level.pitch],
                            level.covariance, params.latitude, params)
         return level, north
-
-    def _flicker_of_fit(self, schedule, fit, time):
-        """Return what 1/f noise adds to the covariance of the coefficients, (M, M)."""
-        if self.params.gyro_bias_instability == 0:
-            return np.zeros_like(fit.covariance)
-        columns = [np.ones_like(schedule.angle), np.cos(schedule.angle), np.sin(schedule.angle)]
-        design = np.stack(columns + ([] if time is None else [time]), axis=1)
-        gain = fit.covariance @ (design * schedule.duration[:, None]).T / self.params.gyro_noise_density ** 2
-        return gain @ bounds.flicker_covariance(schedule, self.params.gyro_bias_instability) @ gain.T
 
     def _level_of_few(self):
         """Return the level before the table has turned: the accelerometers as they are, bias and all."""
@@ -282,7 +273,3 @@ def align_turning(time, angle, gyro_b, accel_b, params):
     floor = float(north.std) * math.sqrt(flicker_share)
     missing = max((float(north.std) / params.target_std) ** 2 - 1, 0.0)
     return AlignmentResult(level, north, floor, missing * float(time[-1] - time[0]))
-
-
-def _widened(fit, added):
-    return type(fit)(fit.coefficients, fit.covariance + added, fit.chi2, fit.freedom, fit.condition, fit.kept)

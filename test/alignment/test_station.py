@@ -160,6 +160,19 @@ def test_two_angles_or_no_latitude_give_no_heading():
     assert result.level.flags == Quality(0)
 
 
+def test_a_disturbed_dwell_makes_the_heading_inconsistent():
+    rng, table, station = np.random.default_rng(9), _table(), TableAlignment(PARAMS)
+    for angle in FOUR_POSITIONS * 2:
+        _add(station, table, angle, rng)
+    assert station.result().believable
+    start = station.dwells[-1].end
+    reading = exact_readings(table, 1.0)
+    disturbed = reading.gyro_b + NOISE.bias + [0.0, 1e-5, 0.0]
+    assert station.add(Dwell(1.0, start, start + 15.0, disturbed, reading.accel_b + FORCE_NOISE.bias)) == ""
+    assert not station.result().believable
+    assert Quality.INCONSISTENT in station.result().north.flags
+
+
 def test_methods_are_compared_with_the_joint_one():
     rng, table, station = np.random.default_rng(6), _table(), TableAlignment(PARAMS)
     for angle in FOUR_POSITIONS:
