@@ -8,7 +8,9 @@ import numpy as np
 from inertial.earth import EARTH_RATE, STANDARD_GRAVITY, normal_gravity
 from inertial.parameters import check_parameters, parameter
 
-ESTIMATORS = ("dcm_row", "dcm_row5")
+ESTIMATORS = ("dcm_row", "dcm_row5", "dcm_row5_gamma", "euler_ukf", "euler_ukf_first_order", "euler_ekf",
+              "quaternion_ekf", "complementary", "complementary_literal", "accelerometer", "gyro",
+              "gyro_euler")
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,8 @@ class AttitudeParams:
 
     estimator: str = parameter(
         "dcm_row", "", "dcm_row: biases, altitude and gravity; dcm_row5: the paper's linear filter, "
-        "altitude only and no biases", choices=ESTIMATORS, runtime=False)
+        "altitude only and no biases; the others: what it is compared with (attitude_estimator/rivals.py)",
+        choices=ESTIMATORS, runtime=False)
     gravity: float = parameter(
         math.nan, "m/s^2", "local gravity", 9.7, 9.9,
         nan_means="WGS84 normal gravity at the latitude, or 9.80665 without one")
@@ -82,6 +85,13 @@ class AttitudeParams:
         6.25, "", "squared normalised innovation above which an altitude must be confirmed", 1.0, 100.0)
     altitude_step_gate: float = parameter(
         6.25, "", "squared mean innovation above which the height reference moved", 1.0, 100.0)
+
+    complementary_frequency: float = parameter(
+        0.03, "rad/s", "complementary schemes: corner frequency, above which the gyro counts", 1e-4, 10.0)
+    levelling_gate: float = parameter(
+        0.5, "m/s^2", "accelerometer: how far the force's size may be off gravity", 0.0, 10.0)
+    norm_gain: float = parameter(
+        50.0, "1/s", "dcm_row5_gamma: the paper's k; must stay below the sample rate", 0.0, 1e4)
 
     gyro_range: float = parameter(
         100.0, "rad/s", "full scale of the gyro: beyond it a sample is refused, at it noise grows",
