@@ -32,7 +32,7 @@ VD, ALT, BG, BA = 3, 4, 5, 8
 # Filter state: first what every model has, then what only the default one has.
 (X, P, ATTITUDE, ELAPSED, INTERVAL, HELD, STUCK, GYRO, ACCEL, GYRO_LP, ACCEL_LP, GYRO_SPREAD,
  ACCEL_SPREAD, REST, NORTH, YAW_STD, YAW_VAR, ALT_COUNT, SINCE_ALT,
- GRAVITY, GRAVITY_BG, GRAVITY_BA, SINCE_GRAVITY, RESIDUAL, NORM_EXCESS, FREE_FALL,
+ GRAVITY, GRAVITY_BG, GRAVITY_BA, SINCE_GRAVITY, RESIDUAL, FREE_FALL,
  ALT_LAST, ALT_BEFORE, ALT_SPREAD, ALT_STEP, ALT_PERSISTENCE, ALT_REFUSED,
  STATE_SIZE) = _offsets(
     N, N * N,
@@ -45,7 +45,7 @@ VD, ALT, BG, BA = 3, 4, 5, 8
     3, 1, 1,  # NORTH unit vector: zero of the yaw; its spread: grows as t (rad), as sqrt t (rad^2)
     1, 1,  # ALT_COUNT; SINCE_ALT s
     3, 9, 9,  # GRAVITY low-passed force; -1/g of its sensitivity to gyro bias; to accelerometer bias
-    1, 1, 1,  # SINCE_GRAVITY s; RESIDUAL (m/s^2)^2; NORM_EXCESS (m/s^2)^2
+    1, 1,  # SINCE_GRAVITY s; RESIDUAL (m/s^2)^2, held maximum
     1,  # FREE_FALL: 1 while the low-passed force is too small to show gravity
     1, 1, 1, 1, 1, 1)  # last altitudes, their spread (m^2) and resolution (m), jump tests
 PH = STATE_SIZE  # scratch behind the state: covariance times a measurement's row
@@ -57,7 +57,7 @@ PARAMETER_NAMES = (
     "gyro_noise_density", "gyro_rate_error", "accel_noise_density", "accel_force_error",
     "gyro_bias_std", "gyro_bias_walk", "accel_bias_std", "accel_bias_time",
     "gravity_time", "gravity_floor_std", "gravity_residual_share", "gravity_decay_time",
-    "gravity_norm_share", "gravity_norm_margin", "gravity_start_std", "gravity_bias_share",
+    "gravity_correlation", "gravity_start_std", "gravity_bias_share",
     "rest_gyro_std", "rest_accel_std",
     "altitude_std", "altitude_drift_density", "altitude_scale_error", "altitude_delay",
     "altitude_gate", "altitude_step_gate",
@@ -99,7 +99,7 @@ SNAPSHOTS = 16
  P_GYRO_NOISE, P_GYRO_RATE_ERROR, P_ACCEL_NOISE, P_ACCEL_FORCE_ERROR,
  P_GYRO_BIAS_STD, P_GYRO_BIAS_WALK, P_ACCEL_BIAS_STD, P_ACCEL_BIAS_TIME,
  P_GRAVITY_TIME, P_GRAVITY_FLOOR, P_GRAVITY_SHARE, P_GRAVITY_DECAY,
- P_NORM_SHARE, P_NORM_MARGIN, P_START_STD, P_BIAS_SHARE,
+ P_CORRELATION, P_START_STD, P_BIAS_SHARE,
  P_REST_GYRO_STD, P_REST_ACCEL_STD,
  P_ALT_STD, P_ALT_DRIFT, P_ALT_SCALE_ERROR, P_ALT_DELAY,
  P_ALT_GATE, P_ALT_STEP_GATE,
@@ -113,7 +113,6 @@ LOWPASS_TIME = 0.5  # s
 REST_GYRO = math.radians(2.0)  # rad/s about the low-pass
 REST_ACCEL = 0.5  # m/s^2 about the low-pass
 GRAVITY_PERIOD = 0.05  # s between gravity updates
-NORM_TIME = 5.0  # s, low-pass of the norm excess
 FREE_FALL_SHARE = 0.5  # of gravity, below which the low-passed force shows no direction
 ATTITUDE_TRACE = 0.02  # trace of the down direction's covariance below which there is an attitude
 LOST_TRACE = 0.1  # trace above which there is none any more
@@ -421,17 +420,14 @@ def _gravity_variance(m, elapsed):
         norm2 += m[GRAVITY + i] ** 2
     fall = max(elapsed / (m[P_GRAVITY_DECAY] + elapsed), min(1.0, 2.0 * elapsed / t))
     m[RESIDUAL] = max(residual, m[RESIDUAL] + fall * (residual - m[RESIDUAL]))
-    slow = max(elapsed / (NORM_TIME + elapsed), min(1.0, elapsed / t))
-    m[NORM_EXCESS] += slow * (norm2 - g * g - m[NORM_EXCESS])
     m[FREE_FALL] = 1.0 if norm2 < (FREE_FALL_SHARE * g) ** 2 else 0.0
     if residual > 16.0 * (m[P_REST_ACCEL_STD] ** 2 + _expected_residual(m)):
         m[REST] = 0.0  # a steady braking or climb is as quiet as rest
     if m[REST] >= REST_TIME:
         return m[P_REST_ACCEL_STD] ** 2 * max(1.0, 1.0 / elapsed)
-    excess = max(m[NORM_EXCESS] - 2.0 * g * m[P_NORM_MARGIN], 0.0)
     variance = (m[P_GRAVITY_FLOOR] ** 2 + m[P_GRAVITY_SHARE] ** 2 * m[RESIDUAL]
-                + m[P_NORM_SHARE] ** 2 * excess + m[P_START_STD] ** 2 / (1.0 + 4.0 * t * t))
-    return variance * max(1.0, 2.0 * min(m[P_GRAVITY_TIME], t) / elapsed)
+                + m[P_START_STD] ** 2 / (1.0 + 4.0 * t * t))
+    return variance * max(1.0, m[P_CORRELATION] * min(m[P_GRAVITY_TIME], t) / elapsed)
 
 
 @njit(cache=True)

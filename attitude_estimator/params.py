@@ -35,9 +35,9 @@ class AttitudeParams:
         -math.pi / 2, math.pi / 2, nan_means="no Earth-rate compensation")
 
     gyro_noise_density: float = parameter(
-        1e-3, "rad/s/sqrt(Hz)", "white noise of each gyro axis", 0.0, 1.0)
+        0.0022, "rad/s/sqrt(Hz)", "white noise of each gyro axis", 0.0, 1.0)
     gyro_rate_error: float = parameter(
-        0.005, "sqrt(s)", "gyro noise that grows with the rate: scale factor, misalignment", 0.0, 1.0)
+        0.003, "sqrt(s)", "gyro noise that grows with the rate: scale factor, misalignment", 0.0, 1.0)
     gyro_bias_std: float = parameter(
         0.025, "rad/s", "spread of the gyro bias at switch-on; set it to your sensor's", 0.0, 1.0)
     gyro_bias_walk: float = parameter(
@@ -45,40 +45,39 @@ class AttitudeParams:
     accel_noise_density: float = parameter(
         0.01, "m/s^2/sqrt(Hz)", "white noise of each accelerometer axis", 0.0, 10.0)
     accel_force_error: float = parameter(
-        0.001, "sqrt(s)", "accelerometer noise that grows with the acceleration", 0.0, 1.0)
+        0.0025, "sqrt(s)", "accelerometer noise that grows with the acceleration", 0.0, 1.0)
     accel_bias_std: float = parameter(
-        0.07, "m/s^2", "spread of the accelerometer bias", 0.0, 5.0)
+        0.05, "m/s^2", "spread of the accelerometer bias", 0.0, 5.0)
     accel_bias_time: float = parameter(
-        300.0, "s", "correlation time of the accelerometer bias", 1.0, 1e6)
+        200.0, "s", "correlation time of the accelerometer bias", 1.0, 1e6)
 
     gravity_time: float = parameter(
-        1.7, "s", "time constant of the low-pass that finds gravity; larger trusts the gyro longer",
+        1.65, "s", "time constant of the low-pass that finds gravity; larger trusts the gyro longer",
         0.05, 60.0)
     gravity_floor_std: float = parameter(
-        0.1, "m/s^2", "acceleration left in the low-pass in quiet motion", 1e-4, 10.0)
+        0.12, "m/s^2", "acceleration left in the low-pass in quiet motion", 1e-4, 10.0)
     gravity_residual_share: float = parameter(
-        0.4, "", "share of the present residual that counts as acceleration", 0.0, 10.0)
+        0.33, "", "share of the present residual that counts as acceleration", 0.0, 10.0)
     gravity_decay_time: float = parameter(
-        1.4, "s", "how long a residual is remembered", 0.05, 60.0)
-    gravity_norm_share: float = parameter(
-        1.0, "", "weight of a lasting force above gravity as a sign of acceleration", 0.0, 10.0)
-    gravity_norm_margin: float = parameter(
-        0.3, "m/s^2", "force above gravity that accelerometer errors may explain", 0.0, 5.0)
+        1.3, "s", "how long a residual is remembered", 0.05, 60.0)
+    gravity_correlation: float = parameter(
+        1.8, "", "correlation time of the acceleration in the low-pass, in gravity_time; larger is more "
+        "careful", 0.0, 100.0)
     gravity_start_std: float = parameter(
-        6.0, "m/s^2", "distrust of gravity in the first second", 0.0, 50.0)
+        4.7, "m/s^2", "distrust of gravity in the first second", 0.0, 50.0)
     gravity_bias_share: float = parameter(
-        0.3, "", "share of its gain that the accelerometer bias takes from gravity", 0.0, 1.0)
+        0.4, "", "share of its gain that the accelerometer bias takes from gravity", 0.0, 1.0)
     rest_gyro_std: float = parameter(
         0.005, "rad/s", "error of the zero-rate update at rest", 1e-6, 1.0)
     rest_accel_std: float = parameter(
         0.045, "m/s^2", "error of gravity at rest", 1e-5, 1.0)
 
     altitude_std: float = parameter(
-        0.3, "m", "white noise of the altimeter; more is learnt from the data", 1e-3, 100.0)
+        0.2, "m", "white noise of the altimeter; more is learnt from the data", 1e-3, 100.0)
     altitude_drift_density: float = parameter(
-        0.045, "m/sqrt(s)", "random walk of the altimeter's zero", 0.0, 10.0)
+        0.036, "m/sqrt(s)", "random walk of the altimeter's zero", 0.0, 10.0)
     altitude_scale_error: float = parameter(
-        0.05, "sqrt(s)", "altimeter noise that grows with vertical speed", 0.0, 1.0)
+        0.026, "sqrt(s)", "altimeter noise that grows with vertical speed", 0.0, 1.0)
     altitude_delay: float = parameter(
         0.0, "s", "how much older an altitude is than its stamp", -1.0, 2.0)
     altitude_gate: float = parameter(

@@ -120,12 +120,7 @@ def test_a_blind_start_converges_in_every_run(scenario, manoeuvre):
 
 
 # A steady braking, climb or turn of a body without vibration is taken for rest, with rest's covariance.
-FALSE_REST = pytest.mark.xfail(strict=True, reason="overconfident: smooth acceleration counts as rest")
-
-
-@pytest.mark.parametrize("scenario", [
-    pytest.param(name, marks=FALSE_REST) if name in ("vertical_plane", "aerobatic", "car", "turn") else name
-    for name in SCENARIOS])
+@pytest.mark.parametrize("scenario", SCENARIOS)
 def test_the_default_filter_is_honest_in_every_motion(scenario):
     nees, beyond = [], []
     for seed in range(DEFAULT_RUNS):

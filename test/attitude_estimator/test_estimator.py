@@ -151,7 +151,6 @@ def test_a_recording_in_two_parts_gives_the_same(cut):
     np.testing.assert_array_equal(whole.rows, np.concatenate([one.rows, two.rows]))
 
 
-@pytest.mark.xfail(strict=True, reason="run() leaves `estimate` as it was")
 @MODELS
 def test_after_a_recording_the_estimate_is_its_last_row(model):
     estimator = AttitudeEstimator(AttitudeParams(estimator=model))
@@ -160,7 +159,6 @@ def test_after_a_recording_the_estimate_is_its_last_row(model):
     assert estimator.estimate.stamp_ns == estimates.stamp_ns[-1]
 
 
-@pytest.mark.xfail(strict=True, reason="a copy's state is no longer part of its memory")
 def test_a_copy_goes_on_like_the_original_and_alone():
     imu = _recording().imu
     original = AttitudeEstimator()
@@ -240,7 +238,6 @@ def test_published_rows_are_not_revised_by_a_late_altitude():
     np.testing.assert_array_equal(once.rows[:cut], shorter.rows)
 
 
-@pytest.mark.xfail(strict=True, reason="a copy's state is no longer part of its memory")
 def test_an_altitude_beyond_the_buffer_is_counted_and_changes_nothing():
     estimator = AttitudeEstimator(AttitudeParams(altitude_buffer=0.5))
     k = _stand(estimator, seconds=5.0)
@@ -374,7 +371,6 @@ def test_gravity_is_that_of_the_latitude():
     assert AttitudeParams(latitude=1.0, gravity=9.81).local_gravity() == 9.81
 
 
-@pytest.mark.xfail(strict=True, reason="the zero-rate update takes the Earth rate for a bias")
 @pytest.mark.parametrize("latitude", [math.radians(70.0), math.radians(-70.0)])
 def test_with_a_latitude_the_vertical_earth_rate_is_not_taken_for_a_gyro_bias(latitude):
     recording = simulate("hover", duration=120.0, rest=120.0, imu_rate=50.0, latitude=latitude,

@@ -36,6 +36,7 @@ class PaperTwin:
         self.p = params
         self.x = np.zeros(self.size)
         self.P = np.zeros((self.size, self.size))
+        self.known = False
         self.P[:5, :5] = np.diag([1 / 3, 1 / 3, 1 / 3, 2.0**2, 5.0**2])
         self.altitudes = []
 
@@ -94,6 +95,7 @@ class PaperTwin:
             A = np.eye(self.size)
             A[:3, :3] = (np.eye(3) - np.outer(u, u)) / norm
             self.x[:3], self.P = u, A @ self.P @ A.T
+            self.known = True
 
 
 class DefaultTwin(PaperTwin):
@@ -106,7 +108,7 @@ class DefaultTwin(PaperTwin):
         self.P[5:, 5:] = np.diag(np.repeat([params.gyro_bias_std**2, params.accel_bias_std**2], 3))
         self.s, self.W, self.B = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
         self.time = self.since_gravity = self.since_altitude = self.rest = 0.0
-        self.residual = self.norm_excess = self.altimeter_var = self.step = 0.0
+        self.residual = self.altimeter_var = self.step = 0.0
         self.persistence = self.refused = 0.0
         self.gyro_lp = self.accel_lp = None
         self.zero_rate_updates = 0
@@ -155,9 +157,11 @@ class DefaultTwin(PaperTwin):
 
     def carry_gravity(self, dt, transposed, accel):
         alpha = max(dt / (self.p.gravity_time + dt), min(1.0, dt / self.time))
-        self.s = (1 - alpha) * transposed @ self.s + alpha * accel
+        self.s_before = transposed @ self.s
+        self.s = (1 - alpha) * self.s_before + alpha * accel
         self.B = (1 - alpha) * transposed @ self.B + alpha * np.eye(3)
-        self.W = (1 - alpha) * (transposed @ self.W + dt * skew(self.x[:3]))
+        down = self.x[:3] if self.known else -self.s_before / GRAVITY
+        self.W = (1 - alpha) * (transposed @ self.W + dt * skew(down))
 
     def use_gravity(self, elapsed):
         R = self.gravity_variance(elapsed)
@@ -175,14 +179,14 @@ class DefaultTwin(PaperTwin):
         y2 = np.sum((self.s + GRAVITY * self.x[:3] - self.B @ self.x[8:]) ** 2)
         fall = max(elapsed / (p.gravity_decay_time + elapsed), min(1.0, 2 * elapsed / t))
         self.residual = max(y2, self.residual + fall * (y2 - self.residual))
-        slow = max(elapsed / (5.0 + elapsed), min(1.0, elapsed / t))
-        self.norm_excess += slow * (self.s @ self.s - GRAVITY**2 - self.norm_excess)
+        explained = GRAVITY**2 * np.trace(self.P[:3, :3]) + np.trace(self.P[8:, 8:])
+        if y2 > 16 * (p.rest_accel_std**2 + explained):
+            self.rest = 0.0
         if self.rest >= 1.5:
             return p.rest_accel_std**2 * max(1.0, 1.0 / elapsed)
-        excess = max(self.norm_excess - 2 * GRAVITY * p.gravity_norm_margin, 0.0)
         variance = (p.gravity_floor_std**2 + p.gravity_residual_share**2 * self.residual
-                    + p.gravity_norm_share**2 * excess + p.gravity_start_std**2 / (1 + (t / 0.5) ** 2))
-        return variance * max(1.0, 2 * min(p.gravity_time, t) / elapsed)
+                    + p.gravity_start_std**2 / (1 + (t / 0.5) ** 2))
+        return variance * max(1.0, p.gravity_correlation * min(p.gravity_time, t) / elapsed)
 
     def partial_update(self, innovation, H, R, share):
         S = H @ self.P @ H + R
