@@ -75,7 +75,7 @@ PARAMETER_NAMES = (
 
 # Integers: the time buffer's bookkeeping, then one counter per fault.
 HISTORY = 1024  # IMU samples that can be taken back
-ALTITUDES = 128  # altitudes remembered
+ALTITUDES = 256  # altitudes remembered, at least half of them
 (I_HEAD, I_STORED, I_ALTITUDES, I_NEXT, I_LAST_STAMP, I_COUNTS) = range(6)
 FAULTS = ("gyro_not_finite", "accel_not_finite", "gyro_out_of_range", "accel_out_of_range",
           "accel_zero", "clipped", "stuck", "restarted", "altitude_not_finite", "altitude_late",
@@ -769,19 +769,20 @@ def _forget_history(ints):
 
 
 @njit(cache=True)
-def _vector_ok(ints, not_finite, out_of_range, limit, x, y, z):
-    """Check one vector of a sample and count what is wrong with it."""
-    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+def _largest(ints, not_finite, out_of_range, limit, x, y, z):
+    """Return the largest component of one vector of a sample, or -1 and count what is wrong with it."""
+    largest = max(abs(x), abs(y), abs(z))
+    if not math.isfinite(x + y + z):
         ints[I_COUNTS + not_finite] += 1
-        return False
-    if max(abs(x), abs(y), abs(z)) > (2.0 - CLIP_SHARE) * limit:
+        return -1.0
+    if largest > (2.0 - CLIP_SHARE) * limit:
         ints[I_COUNTS + out_of_range] += 1
-        return False
-    return True
+        return -1.0
+    return largest
 
 
 @njit(cache=True)
-def _suspicion(m, ints, dt, wx, wy, wz, fx, fy, fz):
+def _suspicion(m, ints, dt, wx, wy, wz, fx, fy, fz, largest_rate, largest_force):
     """Variances (rad^2, m^2/s^2) that a stuck or clipped sample adds."""
     same = (wx == m[GYRO] and wy == m[GYRO + 1] and wz == m[GYRO + 2]
             and fx == m[ACCEL] and fy == m[ACCEL + 1] and fz == m[ACCEL + 2])
@@ -791,8 +792,8 @@ def _suspicion(m, ints, dt, wx, wy, wz, fx, fy, fz):
         ints[I_COUNTS + F_STUCK] += 1
         gyro_var += dt * STUCK_GYRO_DENSITY**2
         accel_var += dt * STUCK_ACCEL_DENSITY**2
-    gyro_clipped = max(abs(wx), abs(wy), abs(wz)) > CLIP_SHARE * m[P_GYRO_RANGE]
-    accel_clipped = max(abs(fx), abs(fy), abs(fz)) > CLIP_SHARE * m[P_ACCEL_RANGE]
+    gyro_clipped = largest_rate > CLIP_SHARE * m[P_GYRO_RANGE]
+    accel_clipped = largest_force > CLIP_SHARE * m[P_ACCEL_RANGE]
     if gyro_clipped or accel_clipped:
         ints[I_COUNTS + F_CLIPPED] += 1
         gyro_var += (dt * CLIP_ERROR * m[P_GYRO_RANGE]) ** 2 if gyro_clipped else 0.0
@@ -845,11 +846,11 @@ def _take_imu(m, ints, stamp, wx, wy, wz, fx, fy, fz):
 
     Altitudes that waited for it are applied. Returns whether there is new output.
     """
-    gyro_ok = _vector_ok(ints, F_GYRO_NOT_FINITE, F_GYRO_OUT_OF_RANGE, m[P_GYRO_RANGE], wx, wy, wz)
-    force_ok = _vector_ok(ints, F_ACCEL_NOT_FINITE, F_ACCEL_OUT_OF_RANGE, m[P_ACCEL_RANGE], fx, fy, fz)
-    if fx == 0.0 and fy == 0.0 and fz == 0.0:
+    rate = _largest(ints, F_GYRO_NOT_FINITE, F_GYRO_OUT_OF_RANGE, m[P_GYRO_RANGE], wx, wy, wz)
+    force = _largest(ints, F_ACCEL_NOT_FINITE, F_ACCEL_OUT_OF_RANGE, m[P_ACCEL_RANGE], fx, fy, fz)
+    if force == 0.0:
         ints[I_COUNTS + F_ACCEL_ZERO] += 1  # no sensor in free fall reads three zeros
-        force_ok = False
+    gyro_ok, force_ok = rate >= 0.0, force > 0.0
     dt = (stamp - ints[I_LAST_STAMP]) * 1e-9
     if ints[I_STORED] > 0 and dt > m[P_GAP_LIMIT]:
         ints[I_COUNTS + F_RESTARTED] += 1
@@ -875,7 +876,7 @@ def _take_imu(m, ints, stamp, wx, wy, wz, fx, fy, fz):
         accel_var = dt * dt * (m[ACCEL_SPREAD] + UNKNOWN_ACCEL_STD**2)
     known = gyro_ok and force_ok
     if known:
-        gyro_var, accel_var = _suspicion(m, ints, dt, wx, wy, wz, fx, fy, fz)
+        gyro_var, accel_var = _suspicion(m, ints, dt, wx, wy, wz, fx, fy, fz, rate, force)
     _remember(m, ints, stamp, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, known)
     _advance(m, ints, ints[I_HEAD])
     return True
@@ -950,13 +951,14 @@ def _samples_since(ints, stamp):
 
 @njit(cache=True)
 def _insert_altitude(m, ints, place, stamp, z, message_var):
-    """Put an altitude among the remembered ones; a full memory loses its oldest."""
+    """Put an altitude among the remembered ones; a full memory loses its older half."""
     if ints[I_ALTITUDES] == ALTITUDES:
-        for k in range(1, ALTITUDES):
-            _move_altitude(m, ints, k, k - 1)
-        ints[I_ALTITUDES] -= 1
-        ints[I_NEXT] = max(ints[I_NEXT] - 1, 0)
-        place = max(place - 1, 0)
+        half = ALTITUDES // 2
+        for k in range(half, ALTITUDES):
+            _move_altitude(m, ints, k, k - half)
+        ints[I_ALTITUDES] -= half
+        ints[I_NEXT] = max(ints[I_NEXT] - half, 0)
+        place = max(place - half, 0)
     for k in range(ints[I_ALTITUDES], place, -1):
         _move_altitude(m, ints, k - 1, k)
     ints[I_ALT_STAMPS + place] = stamp
