@@ -1,7 +1,7 @@
 """What estimates cost, beside other filters and beside a node that does nothing, in one run.
 
-``make bench``, or ``python -m studies.bench kernels | nodes | offline``. Times of a shared machine drift, so
-what is compared is measured in turn, several times, and the medians and their ratio are told. Writes
+``make bench``, or ``python -m studies.bench kernels | nodes | offline | accuracy``. Times of a shared machine
+drift, so what is compared is measured in turn, several times, and the medians and their ratio are told. Writes
 build/bench/<part>.json.
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 from attitude_estimator.estimator import AttitudeEstimator
 from attitude_estimator.params import AttitudeParams
 from inertial.simulator import simulate
+from studies.bench_accuracy import bench_accuracy
 from studies.bench_node import bench_nodes, bench_offline
 from studies.timing import print_table, times_in_turn
 
@@ -74,7 +75,8 @@ def _each(update, rows):
         update(w, f)
 
 
-PARTS = {"kernels": bench_kernels, "nodes": bench_nodes, "offline": bench_offline}
+PARTS = {"kernels": bench_kernels, "nodes": bench_nodes, "offline": bench_offline,
+         "accuracy": bench_accuracy}
 
 
 def main(arguments=None):
