@@ -34,7 +34,8 @@ def _offsets(*sizes):
 
 
 N_MAX = 6
-(X, P, Q, DOWN, DOWN_COV, YAW_VAR, AUXILIARY, RATE, FORCE, LAST_ALTITUDE, LAST_ALTITUDE_VAR, PARAMETERS) = _offsets(
+(X, P, Q, DOWN, DOWN_COV, YAW_VAR, AUXILIARY, RATE, FORCE, LAST_ALTITUDE, LAST_ALTITUDE_VAR,
+ PARAMETERS) = _offsets(
     N_MAX, N_MAX * N_MAX,
     4, 3, 9, 1,  # q_nb_wxyz; down_b and its covariance, row by row; variance of the yaw
     6,  # what the complementary schemes and the Euler kinematics remember
@@ -209,7 +210,7 @@ def euler_ekf_predict(x, p, w, f, g, dt, q_angle, q_vd):
 
 @njit(cache=True)
 def _fill_cholesky(p, L):
-    """Fill the lower factor of p; False where p is not positive definite."""
+    """Fill the lower factor of p; False where p has a negative eigenvalue."""
     n = len(p)
     for j in range(n):
         for i in range(j, n):
@@ -217,9 +218,9 @@ def _fill_cholesky(p, L):
             for k in range(j):
                 total -= L[i, k] * L[j, k]
             if i > j:
-                L[i, j] = total / L[j, j]
-            elif total > 0.0:
-                L[j, j] = math.sqrt(total)
+                L[i, j] = total / L[j, j] if L[j, j] > 0.0 else 0.0
+            elif total >= -1e-9 * p[j, j]:
+                L[j, j] = math.sqrt(max(total, 0.0))
             else:
                 return False
     return True
@@ -229,7 +230,7 @@ def _fill_cholesky(p, L):
 def euler_ukf_predict(x, p, w, f, g, dt, q_angle, q_vd, first_order):
     """Carry the unscented filter over dt: eight points at mean +- sqrt(4) columns of the factor.
 
-    That is kappa = 0: second order, no negative weight. False where P is not positive definite.
+    That is kappa = 0: second order, no negative weight. False where P has a negative eigenvalue.
     """
     L = np.zeros((4, 4))
     if not _fill_cholesky(p, L):
@@ -439,7 +440,7 @@ def levelling_step(m, f):
 
 @njit(cache=True)
 def start(m, ints, down, tilt_var):
-    """Begin at a down direction (unit) whose angle to the true one has this variance; the nose points east."""
+    """Begin at a down direction (unit) with this variance of its angle; the nose points east."""
     model = ints[I_MODEL]
     n = size_of(model)
     roll, pitch = math.atan2(down[1], down[2]), math.atan2(-down[0], math.hypot(down[1], down[2]))
@@ -507,7 +508,7 @@ def predict(m, ints, w, f, dt):
     sound = True
     if model == GAMMA:
         gamma_predict(x, p, w, f, g, dt, q_angle, q_vd, m[P_NORM_GAIN])
-    elif model == EULER_UKF or model == EULER_UKF_FIRST_ORDER:
+    elif model in (EULER_UKF, EULER_UKF_FIRST_ORDER):
         sound = euler_ukf_predict(x, p, w, f, g, dt, q_angle, q_vd, model == EULER_UKF_FIRST_ORDER)
     elif model == EULER_EKF:
         euler_ekf_predict(x, p, w, f, g, dt, q_angle, q_vd)
@@ -568,10 +569,10 @@ def update(m, ints, z, variance, age):
 @njit(cache=True)
 def _sound(x, p):
     """Whether mean and variances are finite and not negative."""
+    sound = True
     for i in range(len(x)):
-        if not (math.isfinite(x[i]) and 0.0 <= p[i, i] < LARGEST_VARIANCE):
-            return False
-    return True
+        sound &= math.isfinite(x[i]) and 0.0 <= p[i, i] < LARGEST_VARIANCE
+    return sound
 
 
 @njit(cache=True)
