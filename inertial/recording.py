@@ -65,10 +65,28 @@ class AttitudeSeries:
 
 
 @dataclass(frozen=True)
+class JointSeries:
+    """Angles of a turntable with their stamps.
+
+    Attributes
+    ----------
+    stamp_ns : (K,) int64
+    angle : (K,) float64, rad, clockwise seen from above (about z, down)
+    """
+
+    stamp_ns: np.ndarray
+    angle: np.ndarray
+
+    def __len__(self):
+        return len(self.stamp_ns)
+
+
+@dataclass(frozen=True)
 class Recording:
-    """One run: the IMU, and the altimeter and the truth where there are any."""
+    """One run: the IMU, and the altimeter, the truth and a turntable's angle where there are any."""
 
     name: str
     imu: ImuSeries
     altitude: AltitudeSeries | None = None
     truth: AttitudeSeries | None = None
+    joint: JointSeries | None = None

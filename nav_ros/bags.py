@@ -27,13 +27,14 @@ from inertial.recording import AltitudeSeries, AttitudeSeries, ImuSeries, Record
 from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
 from nav_ros.broken_mcap import read_broken_mcap, zstd
 from nav_ros.frames import q_nb_from_orientation, swap_flu_frd
-from nav_ros.messages import ACCEL, GYRO, IMU, POINT, PRESSURE, QUATERNION, decode_batch
+from nav_ros.messages import ACCEL, GYRO, IMU, JOINTS, POINT, PRESSURE, QUATERNION, decode_batch
 
 TOPICS = {"imu": "/imu/data_raw", "altitude": "/altitude", "pressure": "/pressure",
-          "truth": "/ground_truth/attitude", "output": "/imu/data"}
+          "truth": "/ground_truth/attitude", "joints": "/joint_states", "output": "/imu/data"}
 """What is on which topic unless told otherwise."""
 
-TYPES = {"imu": IMU, "altitude": POINT, "pressure": PRESSURE, "truth": QUATERNION, "output": IMU}
+TYPES = {"imu": IMU, "altitude": POINT, "pressure": PRESSURE, "truth": QUATERNION, "joints": JOINTS,
+         "output": IMU}
 """The message type of each of :data:`TOPICS`."""
 
 _SUFFIXES = (".mcap", ".db3")

@@ -17,13 +17,12 @@ from tqdm import tqdm
 
 from inertial.imu_errors import PROFILES
 from inertial.recording import AttitudeSeries
-from inertial.scenarios import SCENARIOS
 from inertial.scoring import score_attitude
-from inertial.simulator import simulate
 from nav_ros.bags import TOPICS, TYPES, BagError, BagReader, BagWarning, BagWriter
 from nav_ros.frames import q_nb_from_orientation, swap_enu_ned_covariance
 from nav_ros.messages import ORIENTATION, ORIENTATION_COVARIANCE, decode_batch
 from nav_ros.recorded import recorded_messages
+from nav_ros.simulated import DESCRIPTIONS, simulate_scenario
 
 USAGE_ERROR = 2
 """Exit status for a wrong command line or input that cannot be used."""
@@ -70,9 +69,10 @@ def simulate_bag_main(arguments=None):
     """Run ``simulate_bag``."""
     options = _simulate_parser().parse_args(arguments)
     with one_line_errors("simulate_bag"):
-        recording = simulate(options.scenario, duration=options.duration, imu_rate=options.imu_rate,
-                             altimeter_rate=options.altimeter_rate, profile=options.errors,
-                             seed=options.seed, rest=options.rest)
+        recording = simulate_scenario(
+            options.scenario, duration=options.duration, imu_rate=options.imu_rate,
+            altimeter_rate=options.altimeter_rate, errors=options.errors, seed=options.seed,
+            rest=options.rest)
         types, messages = recorded_messages(recording, options.pressure)
         with BagWriter(options.out, types, options.storage) as writer:
             for message in progress(messages, "writing"):
@@ -138,10 +138,10 @@ def score_bag(path, topics=TOPICS):
 def _simulate_parser():
     parser = argparse.ArgumentParser(
         prog="simulate_bag", formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Write a bag of a simulated IMU and altimeter with the true attitude.",
-        epilog="scenarios:\n" + "\n".join(f"  {name:15} {scenario.description}"
-                                          for name, scenario in SCENARIOS.items()))
-    parser.add_argument("scenario", metavar="SCENARIO", choices=SCENARIOS, help="see below")
+        description="Write a bag of a simulated IMU with the true attitude, and of an altimeter or, for a "
+        "turntable, of its joint.",
+        epilog="scenarios:\n" + "\n".join(f"  {name:21} {text}" for name, text in DESCRIPTIONS.items()))
+    parser.add_argument("scenario", metavar="SCENARIO", choices=DESCRIPTIONS, help="see below")
     parser.add_argument("out", metavar="OUT", help="folder to make")
     parser.add_argument("--duration", type=float, default=120.0, metavar="S",
                         help="seconds (default %(default)g)")
@@ -152,8 +152,8 @@ def _simulate_parser():
     parser.add_argument("--imu-rate", type=float, default=200.0, metavar="HZ", help="default %(default)g")
     parser.add_argument("--altimeter-rate", type=float, default=20.0, metavar="HZ",
                         help="default %(default)g")
-    parser.add_argument("--errors", choices=PROFILES, default="consumer",
-                        help="quality of the sensors (default %(default)s)")
+    parser.add_argument("--errors", choices=PROFILES, default="",
+                        help="quality of a motion's sensors (default consumer); a turntable's is in its name")
     parser.add_argument("--pressure", action="store_true", help="write /pressure in place of /altitude")
     parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="default %(default)s")
     return parser

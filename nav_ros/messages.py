@@ -6,6 +6,8 @@ adds the child's frame) followed by nothing but doubles, so one checked layout s
 
     00 01 00 00 | sec i32 | nanosec u32 | length u32 | frame_id + NUL | padding to 8 | doubles
 
+A ``sensor_msgs/JointState`` has lists of names and of doubles instead and its own two functions.
+
 Offsets for the padding are counted after the four bytes of encapsulation. Values stay in the frames and
 units of the message (FLU, ENU, SI); :mod:`nav_ros.frames` converts them.
 
@@ -28,6 +30,7 @@ PRESSURE = "sensor_msgs/msg/FluidPressure"
 QUATERNION = "geometry_msgs/msg/QuaternionStamped"
 VECTOR = "geometry_msgs/msg/Vector3Stamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
+JOINTS = "sensor_msgs/msg/JointState"
 
 DOUBLES = {IMU: 37, POINT: 3, PRESSURE: 2, QUATERNION: 4, VECTOR: 3, ODOMETRY: 85}
 """How many doubles follow the header of each message type."""
@@ -117,6 +120,75 @@ def decode(message_type, raw):
     sec, nanosec, frame = fields[:3]
     stamp_ns = sec * NANOSECONDS + nanosec if sec >= 0 and nanosec < NANOSECONDS else INVALID_STAMP
     return stamp_ns, _frame_text(frame), fields[3:]
+
+
+def decode_joints(raw):
+    """Return the stamp and the positions of a serialized sensor_msgs/JointState.
+
+    Parameters
+    ----------
+    raw : bytes
+
+    Returns
+    -------
+    stamp_ns : int
+        :data:`INVALID_STAMP` if the message's stamp is not a time.
+    positions : dict
+        Joint name -> position, rad; empty where the message has no positions.
+
+    Raises
+    ------
+    MalformedMessageError
+        And nothing else, whatever the bytes.
+    """
+    if len(raw) < _FRAME_START or raw[0:2] != _LITTLE_ENDIAN:
+        raise MalformedMessageError(_encapsulation_fault(raw))
+    try:
+        sec, nanosec, length = struct.unpack_from("<iII", raw, 4)
+        at, names = 16 + length, []
+        (count,), at = _UINT32.unpack_from(raw, _aligned(at, 4)), _aligned(at, 4) + 4
+        for _ in range(count):
+            at = _aligned(at, 4)
+            (length,) = _unpack_length(raw, at)
+            names.append(_frame_text(bytes(raw[at + 4:at + 4 + length])))
+            at += 4 + length
+        (count,), at = _UINT32.unpack_from(raw, _aligned(at, 4)), _aligned(at, 4) + 4
+        values = struct.unpack_from(f"<{count}d", raw, _aligned(at, 8)) if count else ()
+    except (struct.error, OverflowError, MemoryError) as error:
+        raise MalformedMessageError(f"{len(raw)} bytes are no JointState: {error}") from None
+    if count not in (0, len(names)):
+        raise MalformedMessageError(f"{len(names)} joints have {count} positions")
+    stamp_ns = sec * NANOSECONDS + nanosec if sec >= 0 and nanosec < NANOSECONDS else INVALID_STAMP
+    return stamp_ns, dict(zip(names, values, strict=False))
+
+
+def encode_joints(stamp_ns, frame_id, positions):
+    """Return a serialized sensor_msgs/JointState with positions only.
+
+    Parameters
+    ----------
+    stamp_ns : int
+    frame_id : str
+    positions : dict
+        Joint name -> position, rad.
+    """
+    raw = _stamp(stamp_ns) + _string(frame_id)
+    raw += _padding(raw, 4) + _UINT32.pack(len(positions))
+    for name in positions:
+        raw += _padding(raw, 4) + _string(name)
+    raw += _padding(raw, 4) + _UINT32.pack(len(positions))
+    if positions:
+        raw += _padding(raw, 8) + struct.pack(f"<{len(positions)}d", *positions.values())
+    return raw + bytes(8)  # no velocities, no efforts
+
+
+def _aligned(at, size):
+    """Return the next offset that is aligned, counted after the encapsulation."""
+    return at + (4 - at) % size
+
+
+def _padding(raw, size):
+    return bytes((4 - len(raw)) % size)
 
 
 def decode_batch(message_type, raws):

@@ -9,15 +9,17 @@ from nav_ros.messages import (
     ACCEL,
     GYRO,
     IMU,
+    JOINTS,
     ORIENTATION,
     ORIENTATION_COVARIANCE,
     POINT,
     PRESSURE,
     QUATERNION,
     StampedEncoder,
+    encode_joints,
 )
 
-IMU_FRAME, WORLD_FRAME = "imu_link", "odom"
+IMU_FRAME, WORLD_FRAME, TABLE_JOINT = "imu_link", "odom", "table_joint"
 
 
 def recorded_messages(recording, pressure=False):
@@ -49,6 +51,10 @@ def recorded_messages(recording, pressure=False):
         series = recording.altitude
         topic, message_type, raws = _altitude_messages(series, pressure)
         parts.append((topic, message_type, series.stamp_ns, series.arrival - 0.5, raws))
+    if recording.joint is not None:
+        joint = recording.joint
+        place = np.searchsorted(imu.stamp_ns, joint.stamp_ns, side="right") - 0.75
+        parts.append((TOPICS["joints"], JOINTS, joint.stamp_ns, place, _joint_messages(joint)))
     topics = np.repeat(np.arange(len(parts)), [len(part[4]) for part in parts])
     order = np.argsort(np.concatenate([part[3] for part in parts]), kind="stable")
     receive_ns = np.maximum.accumulate(np.concatenate([part[2] for part in parts])[order]).tolist()
@@ -65,6 +71,12 @@ def _imu_messages(imu):
     values[:, GYRO] = swap_flu_frd(imu.gyro_b)
     values[:, ACCEL] = swap_flu_frd(imu.accel_b)
     return StampedEncoder(IMU, IMU_FRAME).encode_batch(imu.stamp_ns, values)
+
+
+def _joint_messages(joint):
+    # A ROS joint about z up turns the other way.
+    return [encode_joints(stamp_ns, "", {TABLE_JOINT: -angle})
+            for stamp_ns, angle in zip(joint.stamp_ns.tolist(), joint.angle.tolist(), strict=True)]
 
 
 def _altitude_messages(series, pressure):

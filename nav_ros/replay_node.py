@@ -6,6 +6,7 @@ messages are ever unanswered, so whatever the speed of the listener nothing is l
 of the bag and on SIGINT or SIGTERM, 1 if nobody listened within ``wait_timeout``, 2 for bad input.
 """
 
+import dataclasses
 import importlib
 import struct
 import sys
@@ -26,7 +27,6 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
 from inertial.parameters import check_parameters, parameter
-from inertial.recording import AltitudeSeries, AttitudeSeries, ImuSeries, Recording
 from nav_ros.bags import TOPICS, BagError, BagReader
 from nav_ros.messages import IMU, encode_clock
 from nav_ros.parameters import declare_parameters
@@ -52,7 +52,8 @@ class ReplayParams:
     seed: int = parameter(0, "", "Of the simulated noise", 0, 2**31 - 1, runtime=False)
     imu_rate: float = parameter(200.0, "Hz", "Of the simulated IMU", 1.0, 2000.0, runtime=False)
     altimeter_rate: float = parameter(20.0, "Hz", "Of the simulated altimeter", 0.1, 1000.0, runtime=False)
-    errors: str = parameter("consumer", "", "Name of the simulated sensors' errors", runtime=False)
+    errors: str = parameter("", "", "Name of the simulated sensors' errors; empty: consumer, or "
+                            "a turntable's grade", runtime=False)
     pressure: bool = parameter(False, "", "Simulate a barometer on pressure in place of altitude",
                                runtime=False)
     rate: float = parameter(1.0, "", "Speed against real time; 0 is as fast as possible", 0.0, 1000.0,
@@ -216,9 +217,10 @@ class ReplayNode(Node):
             with BagReader(params.bag) as bag:
                 return dict(bag.types), self._read_bag
         # Compiled code, which a bag's replay should not wait for.
-        from inertial.simulator import simulate
-        recording = simulate(params.scenario, duration=params.duration, imu_rate=params.imu_rate,
-                             altimeter_rate=params.altimeter_rate, profile=params.errors, seed=params.seed)
+        from nav_ros.simulated import simulate_scenario
+        recording = simulate_scenario(
+            params.scenario, duration=params.duration, imu_rate=params.imu_rate,
+            altimeter_rate=params.altimeter_rate, errors=params.errors, seed=params.seed)
         if not params.publish_clock:
             now_ns = self.get_clock().now().nanoseconds
             recording = _shifted(recording, now_ns - int(recording.imu.stamp_ns[0]))
@@ -394,11 +396,10 @@ def _stamp(raw):
 
 def _shifted(recording, offset_ns):
     """Return a recording with all stamps moved."""
-    imu, altitude, truth = recording.imu, recording.altitude, recording.truth
-    return Recording(
-        recording.name, ImuSeries(imu.stamp_ns + offset_ns, imu.gyro_b, imu.accel_b),
-        altitude and AltitudeSeries(altitude.stamp_ns + offset_ns, altitude.altitude, altitude.arrival),
-        truth and AttitudeSeries(truth.stamp_ns + offset_ns, truth.q_nb_wxyz))
+    series = {name: getattr(recording, name) for name in ("imu", "altitude", "truth", "joint")}
+    return dataclasses.replace(recording, **{
+        name: dataclasses.replace(each, stamp_ns=each.stamp_ns + offset_ns)
+        for name, each in series.items() if each is not None})
 
 
 if __name__ == "__main__":
