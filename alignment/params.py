@@ -7,6 +7,7 @@ from inertial.parameters import check_parameters, parameter
 
 METHODS = ("joint", "azimuth_1a", "azimuth_1b", "azimuth_2", "azimuth_3", "azimuth_4", "azimuth_5",
            "azimuth_6")
+LEVELLINGS = ("joint", "levelling_1", "levelling_2", "levelling_3", "levelling_4", "levelling_5")
 SEQUENCES = ("palindrome", "single_pass", "refined")
 _DEG = math.pi / 180
 _DEG_PER_HOUR = _DEG / 3600
@@ -31,6 +32,7 @@ class AlignmentParams(NorthPriors):
     """Everything a turntable alignment needs to know, the priors among it."""
 
     method: str = parameter("joint", "", "How the heading is found.", choices=METHODS)
+    levelling: str = parameter("joint", "", "How the level is found.", choices=LEVELLINGS)
     latitude: float = parameter(
         float("nan"), "rad", "Geodetic latitude.", -0.5 * math.pi, 0.5 * math.pi,
         nan_means="not known: no heading is given")
@@ -57,6 +59,8 @@ class AlignmentParams(NorthPriors):
         0.02, "rad/s", "A table that stands turns no faster than this, gyro bias included.", 1e-4)
     largest_angle_spread: float = parameter(
         1e-3, "rad", "Spread of the table angle within a dwell.", 0.0)
+    position_tolerance: float = parameter(
+        math.radians(0.5), "rad", "How near two table angles are the same position.", 1e-6, 0.5)
     still_threshold: float = parameter(
         5.0, "", "Deviations by which a part of a dwell may differ from the rest.", 2.0)
     robust: bool = parameter(True, "", "Whether single outlying samples are left out.")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alignment import azimuth, bounds, sequences
+from alignment import azimuth, bounds, levelling, sequences
 from alignment.errors import NotEnoughDataError
 from alignment.harmonic import fit_harmonic
 from alignment.levelling import level_jointly
@@ -18,7 +18,6 @@ from alignment.results import LARGEST_SCALE_ERROR, UNBELIEVABLE, HeadingResult, 
 from inertial.earth import STANDARD_GRAVITY, normal_gravity
 from inertial.rotation import roll_pitch_from_down
 
-_SAME_ANGLE = math.radians(0.5)
 _SMALLEST_COS_PITCH = 1e-3  # keeps the roll's variance finite when the table stands on end
 _LONGEST_FORECAST = 24 * 3600.0
 _HALF_TURN = (0.0, math.pi)
@@ -38,12 +37,15 @@ class AlignmentResult:
         Part of the heading's deviation that is 1/f noise: what waiting no longer removes quickly.
     time_left : float, s
         Until the asked accuracy; 0 when reached, infinite when it cannot be.
+    reason : str
+        Why ``north`` is None, where the readings are not enough for it.
     """
 
     level: LevelResult
     north: HeadingResult | None
     floor: float
     time_left: float
+    reason: str = ""
 
     @property
     def believable(self):
@@ -119,8 +121,8 @@ class TableAlignment:
         schedule = self._schedule()
         try:
             level, north = self._solve(schedule)
-        except NotEnoughDataError:
-            return AlignmentResult(self._level_of_few(), None, math.nan, math.inf)
+        except NotEnoughDataError as error:
+            return AlignmentResult(self._level_of_few(), None, math.nan, math.inf, str(error))
         if north is None or np.isnan(north.heading):
             return AlignmentResult(level, north, math.nan, math.inf)
         attitude = float(level.roll), float(level.pitch), float(north.heading), self.params.latitude
@@ -130,15 +132,18 @@ class TableAlignment:
         return AlignmentResult(level, north, math.sqrt(max(total ** 2 - white ** 2, 0.0)),
                                self._time_left(float(north.std), white, total))
 
-    def compare_methods(self, hint=None):
+    def compare_methods(self, hint=None, level=None):
         """Return the heading by every closed form whose positions have been visited: name to result.
 
         Parameters
         ----------
         hint : float, optional
             Heading by a compass, rad, to choose among branches; the joint estimator's when absent.
+        level : alignment.results.LevelResult, optional
+            The joint one when absent.
         """
         found = self.result()
+        level = found.level if level is None else level
         if hint is None and found.north is not None:
             hint = found.north.heading
         results = {"joint": found.north} if found.north is not None else {}
@@ -146,11 +151,42 @@ class TableAlignment:
             readings = [self._reading_at(position) for position in method.positions]
             if None not in readings:
                 results[name] = azimuth.find_azimuth(
-                    name, [rate for rate, _ in readings], found.level.roll, found.level.pitch,
+                    name, [rate for rate, _ in readings], level.roll, level.pitch,
                     self.params.latitude, rate_covariance=np.diag([var for _, var in readings]),
-                    level_covariance=found.level.covariance, latitude_std=self.params.latitude_std, hint=hint,
+                    level_covariance=level.covariance, latitude_std=self.params.latitude_std, hint=hint,
                     shared_channel="tipped" in method.positions)
         return results
+
+    def compare_levelling(self):
+        """Return the level by every levelling method whose positions have been visited: name to result."""
+        results = {"joint": self.result().level}
+        angle, gravity = np.array([dwell.angle for dwell in self._dwells]), self.gravity
+        accel_b = np.array([dwell.accel_b for dwell in self._dwells])
+        variance = self.params.accel_noise_density ** 2 / np.array([dwell.duration for dwell in self._dwells])
+        four_x, four_y = (self._mean_forces(("0", "90", "180", "270"), axis) for axis in (0, 1))
+        tipped = self._mean_forces(("0", "90", "180", "tipped"), 0)
+        if four_x:
+            results["levelling_1"] = levelling.levelling_1(four_x[0], gravity, four_x[1])
+            results["levelling_3"] = levelling.levelling_3(four_y[0], gravity, four_y[1])
+        try:
+            for name, method, axis in (("levelling_2", levelling.levelling_2, 0),
+                                       ("levelling_4", levelling.levelling_4, 1)):
+                results[name] = method(angle, accel_b[:, axis], gravity, np.diag(variance))
+        except NotEnoughDataError:  # fewer than three angles
+            pass
+        if tipped:
+            results["levelling_5"] = levelling.levelling_5(
+                tipped[0][:3], tipped[0][3], gravity, tipped[1], shared_channel=True)
+        return dict(sorted(results.items()))
+
+    def _mean_forces(self, positions, axis):
+        """Return mean accelerometer readings at positions and their covariance; None if one is missing."""
+        means = [self._mean_at(position, "accel_b", axis) for position in positions]
+        if None in means:
+            return None
+        density = self.params.accel_noise_density
+        return (np.array([mean for mean, _ in means]),
+                np.diag([density ** 2 / duration for _, duration in means]))
 
     def _schedule(self):
         column = {name: np.array([getattr(dwell, name) for dwell in self._dwells])
@@ -213,15 +249,24 @@ class TableAlignment:
 
     def _reading_at(self, position):
         """Return mean x rate at a table angle in deg (or of z for the tipped sensor) and its variance."""
+        mean = self._mean_at(position, "gyro_b", 0)
+        return mean and (mean[0], self.params.gyro_noise_density ** 2 / mean[1])
+
+    def _mean_at(self, position, triad, axis):
+        """Return the mean reading of an axis at a position and its duration, or None.
+
+        The position is a table angle in deg, or ``"tipped"``: the z axis at any angle.
+        """
         if position in ("any", "maximum"):
             return None
-        chosen = [dwell for dwell in self._dwells if position == "tipped" or abs(math.remainder(
-            dwell.angle - math.radians(float(position)), 2 * math.pi)) < _SAME_ANGLE]
+        tipped = position == "tipped"
+        chosen = [dwell for dwell in self._dwells if tipped or abs(math.remainder(
+            dwell.angle - math.radians(float(position)), 2 * math.pi)) <= self.params.position_tolerance]
         if not chosen:
             return None
         duration = [dwell.duration for dwell in chosen]
-        rates = [dwell.gyro_b[2 if position == "tipped" else 0] for dwell in chosen]
-        return np.average(rates, weights=duration), self.params.gyro_noise_density ** 2 / sum(duration)
+        readings = [getattr(dwell, triad)[2 if tipped else axis] for dwell in chosen]
+        return np.average(readings, weights=duration), sum(duration)
 
 
 def align_turning(time, angle, gyro_b, accel_b, params):
