@@ -44,6 +44,7 @@ from nav_ros.messages import (
     decode,
 )
 from nav_ros.parameters import declare_parameters, on_change, parameter_names
+from nav_ros.sensor_loop import spin_sensors
 from nav_ros.time_gate import StampCode, TimeGate
 
 DEPTH = 1000  # messages; half a second of a fast IMU while the machine is busy elsewhere
@@ -59,7 +60,6 @@ SILENT_PERIODS = 5
 ALTITUDE_SILENCE = 2.0  # s without a usable altitude before a warning
 ERROR_SHARE = 0.01  # of refused samples
 STUCK_ERROR_SAMPLES = 500
-BACKLOG = 1000  # messages served in one turn
 TWO_ALTIMETERS_NS = 5_000_000_000  # within which both have been heard
 SLOW_START = 1.0  # s of compilation worth telling
 
@@ -94,8 +94,8 @@ class AttitudeNode(Node):
         self.create_service(SetBool, "~/use_altitude", self._on_use_altitude)
         self.create_timer(WATCH_PERIOD, self._watch)
         # The altimeter first: of two messages that wait together, it is taken before the IMU's.
-        self._altimeters = self._subscribe_altimeters()
-        self._imu = self._subscribe(Imu, "imu/data_raw", self._on_imu)
+        self.sensors = [*self._subscribe_altimeters(),
+                        (self._subscribe(Imu, "imu/data_raw", self._take_imu), self._take_imu)]
         self._tell_unknown_parameters()
         self.get_logger().info("ready")
 
@@ -141,14 +141,14 @@ class AttitudeNode(Node):
                                         qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def _subscribe_altimeters(self):
-        """Return name -> (subscription, callback) of each altimeter that may be used."""
-        subscriptions = {}
+        """Return (subscription, callback) of each altimeter that may be used."""
+        subscriptions = []
         chosen = self._params.altitude_source
         for name, ros_type, message_type in (("altitude", PointStamped, POINT),
                                              ("pressure", FluidPressure, PRESSURE)):
             if chosen in ("auto", name):
                 take = self._altitude_callback(name, message_type, AltitudeSource(message_type))
-                subscriptions[name] = self._subscribe(ros_type, name, take), take
+                subscriptions.append((self._subscribe(ros_type, name, take), take))
         return subscriptions
 
     def _on_bad_qos(self, topic):
@@ -163,24 +163,6 @@ class AttitudeNode(Node):
         return self.get_clock().handle.get_now().nanoseconds
 
     # --- input
-
-    def _on_imu(self, raw):
-        """Serve one message and those that wait behind it.
-
-        Waking up costs rclpy more than an estimate does, so a node that has fallen behind catches up.
-        """
-        for name in list(self._altimeter_heard):
-            self._serve_waiting(*self._altimeters[name])
-        self._take_imu(raw)
-        self._serve_waiting(self._imu, self._take_imu)
-
-    def _serve_waiting(self, subscription, take):
-        with subscription.handle:
-            for _ in range(BACKLOG):
-                waiting = subscription.handle.take_message(subscription.msg_type, True)
-                if waiting is None:
-                    return
-                take(waiting[0])
 
     def _take_imu(self, raw):
         """Outermost guard of the IMU: whatever is wrong with one message, the next one is served."""
@@ -392,10 +374,10 @@ class AttitudeNode(Node):
         self._last_fault.clear()
         samples = max(self._counts["imu_messages"], 1)
         refused = sum(faults[name] for name in ("gyro_not_finite", "gyro_out_of_range", "accel_not_finite",
-                                                "accel_out_of_range"))
+                                                "accel_out_of_range", "accel_zero"))
         if refused:
             level = Level.ERROR if refused > ERROR_SHARE * samples else Level.WARN
-            report.fault(level, f"{refused} of {samples} IMU samples not finite or out of range")
+            report.fault(level, f"{refused} of {samples} IMU samples not finite, out of range or all zero")
         if faults["stuck"]:
             level = Level.ERROR if faults["stuck"] > STUCK_ERROR_SAMPLES else Level.WARN
             report.fault(level, "the IMU repeats one sample: stuck?")
@@ -421,7 +403,7 @@ def main():
         except ValueError as error:
             print(f"attitude_node: {error}", file=sys.stderr)
             return 2
-        rclpy.spin(node)
+        spin_sensors(node, node.sensors)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except rclpy_implementation.RCLError:
