@@ -28,6 +28,10 @@ TYPES = {"imu/data": Imu, "imu/rpy/filtered": Vector3Stamped, "attitude/state": 
          "imu/gyro_bias": Vector3Stamped, "imu/accel_bias": Vector3Stamped}
 SAME = 1e-9
 """The same kernels on the same samples: what is left is the last bits of a matrix product."""
+EQUAL_SHARE = 0.5
+"""Of the messages, though altitudes may come late; nine tenths are usual."""
+OVERTAKEN = 100
+"""Samples by which an altitude may come late and count: altitude_buffer, 0.5 s, of 200 Hz."""
 TILT_RMS_DEG = 2.0
 """A coarse limit, of simulated turns with a consumer's IMU and of a hand-held recording's first seconds."""
 NEES = 4.0
@@ -42,16 +46,17 @@ ROLL, PITCH = 0.1, -0.05
 class Run:
     """Everything that the node published for a bag, and the bag that the offline tool made of it."""
 
-    def __init__(self, bag, folder, bench):
+    def __init__(self, bag, folder, bench, *parameters):
         self.bag = bag
         self.sent = [message.raw for message in read_messages(bag, ["/imu/data_raw"])]
-        bench.start_ready("-p", "auxiliary_rate:=0.0")
+        given = [item for text in ("auxiliary_rate:=0.0", *parameters) for item in ("-p", text)]
+        bench.start_ready(*given)
         peer = bench.peer()
         diagnostics = bench.diagnostics(peer)
         self.heard = {topic: peer.hear(kind, topic) for topic, kind in TYPES.items()}
         bench.replay(bag, "in_flight:=1")
         self.report = diagnostics.next()
-        estimate_bag_main([str(bag), str(folder / "estimated"), "-p", "auxiliary_rate:=0.0"])
+        estimate_bag_main([str(bag), str(folder / "estimated"), *given])
         self.offline = {topic: [message.raw for message in read_messages(folder / "estimated", [f"/{topic}"])]
                         for topic in TYPES}
 
@@ -77,22 +82,32 @@ def test_the_attitude_is_true_within_its_covariance(run):
     assert score.skipped_s < 1.0
 
 
+def same(run, topic):
+    """Return for each message on a topic whether the node and the offline tool made the same, (N,) bool."""
+    heard, offline = run.heard[topic], run.offline[topic]
+    doubles = 8 * DOUBLES[OUTPUT_TYPES[topic]]
+    assert [raw[:-doubles] for raw in heard] == [raw[:-doubles] for raw in offline]
+    values, expected = (np.frombuffer(b"".join(raw[-doubles:] for raw in raws)).reshape(len(raws), -1)
+                        for raws in (heard, offline))
+    return np.isclose(values, expected, rtol=SAME, atol=SAME).all(axis=1)
+
+
 @pytest.mark.parametrize("topic", TYPES)
 def test_estimate_bag_writes_what_the_node_publishes(run, topic):
-    doubles = 8 * DOUBLES[OUTPUT_TYPES[topic]]
-    heard, offline = run.heard[topic], run.offline[topic]
-    assert len(heard) > 500
-    assert [raw[:-doubles] for raw in heard] == [raw[:-doubles] for raw in offline]
-    # DDS keeps no order between topics: an altitude may change places with the sample beside it. It counts
-    # at its stamp, so no other sample knows of that.
-    recording = read_recording(run.bag)
-    racing = np.unique(recording.altitude.arrival[:, None] + [-1, 0])
-    raced = {run.sent[k][4:12] for k in racing if k < len(run.sent)}
-    same = [k for k, raw in enumerate(heard) if raw[4:12] not in raced]
-    assert len(same) > len(heard) / 3
-    for k in same:
-        np.testing.assert_allclose(np.frombuffer(heard[k][-doubles:]), np.frombuffer(offline[k][-doubles:]),
-                                   rtol=SAME, atol=SAME)
+    """DDS keeps no order between topics: an altitude may change places with the samples beside it.
+
+    It counts at its stamp all the same, so what differs is soon equal again to the last digit.
+    """
+    equal = same(run, topic)
+    assert equal.mean() > EQUAL_SHARE
+    others = np.diff(np.flatnonzero(equal), prepend=-1, append=len(equal)) - 1
+    assert others.max() <= OVERTAKEN
+
+
+def test_without_altitude_node_and_estimate_bag_are_equal_throughout(turn_bag, tmp_path, bench):
+    run = Run(turn_bag, tmp_path, bench, "altitude_source:=none")
+    for topic in TYPES:
+        assert len(run.heard[topic]) > 500 and same(run, topic).all()
 
 
 def test_a_clean_run_counts_no_fault(run):
@@ -190,7 +205,8 @@ def test_parameters_and_services_of_a_running_node(bench):
     feed = bench.feed(peer, ROLL, PITCH)
     rpy, state = peer.hear(Vector3Stamped, "imu/rpy/filtered"), peer.hear(Odometry, "attitude/state")
     feed.start(2.0)
-    assert len(state) == pytest.approx(40, abs=1)
+    bench.wait_until(lambda: len(state) >= 39, "the states of 2 s at 20 Hz")
+    assert len(state) <= 41
     assert set_parameter(peer, "auxiliary_rate", double(0.0)).successful
     state.clear()
     feed.go_on(4.0)
