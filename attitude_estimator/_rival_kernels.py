@@ -15,9 +15,9 @@ from numba import njit
 from inertial._kernels import zoh_coefficients
 from inertial.rotation import zoh_integrals
 
-MODELS = ("dcm_row5_gamma", "euler_ukf", "euler_ukf_first_order", "euler_ekf", "quaternion_ekf",
-          "complementary", "complementary_literal", "accelerometer", "gyro", "gyro_euler")
-(GAMMA, EULER_UKF, EULER_UKF_FIRST_ORDER, EULER_EKF, QUATERNION_EKF,
+MODELS = ("dcm_row5_gamma", "euler_ukf", "euler_ukf_first_order", "euler_ekf", "euler_ekf_first_order",
+          "quaternion_ekf", "complementary", "complementary_literal", "accelerometer", "gyro", "gyro_euler")
+(GAMMA, EULER_UKF, EULER_UKF_FIRST_ORDER, EULER_EKF, EULER_EKF_FIRST_ORDER, QUATERNION_EKF,
  COMPLEMENTARY, COMPLEMENTARY_LITERAL, ACCELEROMETER, GYRO, GYRO_EULER) = range(len(MODELS))
 
 PARAMETER_NAMES = (
@@ -73,7 +73,7 @@ def size_of(model):
     """Number of states of the model; 0 for those without a covariance."""
     if model == GAMMA:
         return 5
-    if model in (EULER_UKF, EULER_UKF_FIRST_ORDER, EULER_EKF):
+    if model in (EULER_UKF, EULER_UKF_FIRST_ORDER, EULER_EKF, EULER_EKF_FIRST_ORDER):
         return 4
     return 6 if model == QUATERNION_EKF else 0
 
@@ -196,7 +196,7 @@ def _add_euler_noise(p, pitch, q_angle, q_vd):
 
 
 @njit(cache=True)
-def euler_ekf_predict(x, p, w, f, g, dt, q_angle, q_vd):
+def euler_ekf_predict(x, p, w, f, g, dt, q_angle, q_vd, first_order):
     """Carry the extended Kalman filter over dt."""
     F = euler_jacobian((x[0], x[1], x[2], x[3]), w, f)
     for i in range(4):
@@ -204,7 +204,7 @@ def euler_ekf_predict(x, p, w, f, g, dt, q_angle, q_vd):
             F[i, j] *= dt
         F[i, i] += 1.0
     _carry(F, p)
-    x[0], x[1], x[2], x[3] = euler_step((x[0], x[1], x[2], x[3]), w, f, g, dt, False)
+    x[0], x[1], x[2], x[3] = euler_step((x[0], x[1], x[2], x[3]), w, f, g, dt, first_order)
     _add_euler_noise(p, x[1], q_angle, q_vd)
 
 
@@ -510,8 +510,8 @@ def predict(m, ints, w, f, dt):
         gamma_predict(x, p, w, f, g, dt, q_angle, q_vd, m[P_NORM_GAIN])
     elif model in (EULER_UKF, EULER_UKF_FIRST_ORDER):
         sound = euler_ukf_predict(x, p, w, f, g, dt, q_angle, q_vd, model == EULER_UKF_FIRST_ORDER)
-    elif model == EULER_EKF:
-        euler_ekf_predict(x, p, w, f, g, dt, q_angle, q_vd)
+    elif model in (EULER_EKF, EULER_EKF_FIRST_ORDER):
+        euler_ekf_predict(x, p, w, f, g, dt, q_angle, q_vd, model == EULER_EKF_FIRST_ORDER)
     elif model == QUATERNION_EKF:
         quaternion_ekf_predict(x, p, w, f, g, dt, q_angle, q_vd)
     else:

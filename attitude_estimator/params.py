@@ -9,8 +9,8 @@ from inertial.earth import EARTH_RATE, STANDARD_GRAVITY, normal_gravity
 from inertial.parameters import check_parameters, parameter
 
 ESTIMATORS = ("dcm_row", "dcm_row5", "dcm_row5_gamma", "euler_ukf", "euler_ukf_first_order", "euler_ekf",
-              "quaternion_ekf", "complementary", "complementary_literal", "accelerometer", "gyro",
-              "gyro_euler")
+              "euler_ekf_first_order", "quaternion_ekf", "complementary", "complementary_literal",
+              "accelerometer", "gyro", "gyro_euler")
 
 
 @dataclass(frozen=True)

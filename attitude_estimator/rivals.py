@@ -10,7 +10,8 @@ with a value that is not finite or out of range is left out whole. Frames and un
 ``dcm_row5_gamma``          the paper's linear filter with its own hold of the norm, ``norm_gain`` gamma
 ``euler_ukf``               unscented filter of roll, pitch, velocity, altitude; Runge-Kutta steps
 ``euler_ukf_first_order``   the same with first-order steps
-``euler_ekf``               extended Kalman filter of the same model
+``euler_ekf``               extended Kalman filter of the same model; Runge-Kutta steps
+``euler_ekf_first_order``   the same with first-order steps
 ``quaternion_ekf``          extended Kalman filter of quaternion, velocity and altitude
 ``complementary``           figure 1: PI turn towards the accelerometer's down direction
 ``complementary_literal``   equation 18 as it is printed

@@ -30,7 +30,8 @@ LINEAR_RESPONSE = 2e-3  # of the step: one sample's Euler step, and the sphere's
 ROUNDING = 1e-12
 TWIN_RELATIVE = 1e-9  # two orders of summation over a thousand samples
 CENTRAL_DIFFERENCE = 1e-6  # of the largest element: steps of 1e-5, second order
-UPDATED = ("dcm_row5_gamma", "euler_ukf", "euler_ukf_first_order", "euler_ekf", "quaternion_ekf")
+UPDATED = ("dcm_row5_gamma", "euler_ukf", "euler_ukf_first_order", "euler_ekf",
+           "euler_ekf_first_order", "quaternion_ekf")
 EVERY_RIVAL = pytest.mark.parametrize("name", RIVALS)
 
 
@@ -120,7 +121,7 @@ def test_the_attitude_is_a_rotation_with_the_estimated_down_axis(name):
 @pytest.mark.parametrize(("name", "bound_deg"), [
     ("dcm_row5_gamma", EXACT_DEG), ("euler_ekf", EXACT_DEG), ("quaternion_ekf", EXACT_DEG),
     ("gyro", EXACT_DEG), ("gyro_euler", EXACT_DEG), ("euler_ukf", SECOND_ORDER_DEG),
-    ("euler_ukf_first_order", SECOND_ORDER_DEG)])
+    ("euler_ukf_first_order", SECOND_ORDER_DEG), ("euler_ekf_first_order", SECOND_ORDER_DEG)])
 def test_perfect_sensors_give_the_true_attitude(name, bound_deg):
     recording = _recording("turn", "perfect")
     _, estimates, _ = _run(name, recording)
