@@ -217,7 +217,7 @@ def test_parameters_and_services_of_a_running_node(bench):
     levelled = peer.call(Trigger, "/attitude_node/level")
     assert levelled.success
     mounting = [float(number) for number in re.findall(r"-?[\d.]+\d", levelled.message)]
-    assert get_parameter(peer, "mounting_rpy").tolist() == pytest.approx(mounting, abs=1e-6)
+    assert list(get_parameter(peer, "mounting_rpy")) == pytest.approx(mounting, abs=1e-6)
     assert mounting == pytest.approx((ROLL, PITCH, 0.0), abs=3 * TILT_STD)
     feed.go_on(0.5)
     assert last_vector(rpy)[:2] == pytest.approx((0.0, 0.0), abs=TILT_STD)
