@@ -17,6 +17,8 @@ bench: ## cost of a sample and of a message, beside other filters
 
 study: ## rewrite the tables of docs/results
 	@scripts/run study python3 -m studies.recordings
+	@scripts/run study python3 -m studies.attitude
+	@scripts/run study python3 -m studies.north_finding
 
 bags: ## rewrite the bundled bags, byte for byte the same
 	@scripts/run study scripts/make_bags bags

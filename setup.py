@@ -62,12 +62,16 @@ setup(
     entry_points={
         "console_scripts": [
             "attitude_node = attitude_estimator.node:main",
+            "alignment_node = alignment.node:main",
             "replay_node = nav_ros.replay_node:main",
             "estimate_bag = attitude_estimator.cli:main",
+            "align_bag = alignment.cli:main",
             "simulate_bag = nav_ros.cli:simulate_bag_main",
             "score_bag = nav_ros.cli:score_bag_main",
             "attitude_demo = nav_ros.demo:main",
             "study_recordings = studies.recordings:main",
+            "study_attitude = studies.attitude:main",
+            "study_north_finding = studies.north_finding:main",
         ],
     },
 )

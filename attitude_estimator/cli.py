@@ -5,7 +5,6 @@ what ``attitude_node`` would have published. Parts of a recording are decoded, e
 """
 
 import argparse
-import difflib
 import time
 from collections import Counter
 from pathlib import Path
@@ -17,7 +16,14 @@ from attitude_estimator.estimator import AttitudeEstimator, Estimates
 from inertial.recording import AltitudeSeries, ImuSeries
 from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
 from nav_ros.bags import TYPES, BagError, BagReader, BagWriter, choose_altitude
-from nav_ros.cli import add_topic_option, one_line_errors, progress, topics_of
+from nav_ros.cli import (
+    add_parameter_options,
+    add_topic_option,
+    one_line_errors,
+    parameters_of,
+    progress,
+    topics_of,
+)
 from nav_ros.frames import swap_flu_frd
 from nav_ros.messages import (
     ACCEL,
@@ -26,7 +32,6 @@ from nav_ros.messages import (
     StampedEncoder,
     decode_batch,
 )
-from nav_ros.parameters import load_parameter_file, parameter_names, params_from_values
 from nav_ros.time_gate import StampCode, classify_stamps, gate_state
 
 PART = 20_000  # messages that are estimated at once; more only takes memory
@@ -191,7 +196,7 @@ def main(arguments=None):
         *bags, out = options.bags
         if not bags:
             raise ValueError("needs at least one bag and the folder to write")
-        params = _parameters(options)
+        params = parameters_of(options, "attitude_node", AttitudeNodeParams)
         several = len(bags) > 1
         for bag in bags:
             began = time.perf_counter()
@@ -203,36 +208,6 @@ def main(arguments=None):
                   f"{faults or 'nothing refused'}")
 
 
-def _parameters(options):
-    names = parameter_names(AttitudeNodeParams)
-    values = load_parameter_file(options.params, "attitude_node", names) if options.params else {}
-    for text in options.set:
-        name, separator, value = text.partition(":=")
-        if not separator:
-            raise ValueError(f"-p {text}: expected NAME:=VALUE")
-        if name not in names:
-            (near,) = difflib.get_close_matches(name, names, 1, 0.0)
-            raise ValueError(f"-p {text}: there is no parameter {name}; did you mean {near}?")
-        values[name] = parse_value(value)
-    return params_from_values(AttitudeNodeParams, values)
-
-
-def parse_value(text):
-    """Return a parameter value as ROS reads it from a command line.
-
-    Raises
-    ------
-    ValueError
-        It is not YAML.
-    """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-    try:
-        return YAML(typ="safe").load(text)
-    except YAMLError as error:
-        raise ValueError(f"{text!r} is not a parameter value: {error.problem}") from error
-
-
 def _parser():
     parser = argparse.ArgumentParser(
         prog="estimate_bag",
@@ -240,9 +215,7 @@ def _parser():
         "/imu/rpy/filtered, /attitude/state, the biases, and a copy of the truth.")
     parser.add_argument("bags", nargs="+", metavar="IN... OUT",
                         help="bags to read, and the folder to make; of several bags it holds one bag each")
-    parser.add_argument("--params", metavar="FILE", help="ROS 2 parameter file of attitude_node")
-    parser.add_argument("-p", "--param", action="append", default=[], metavar="NAME:=VALUE", dest="set",
-                        help="one parameter, as after --ros-args")
+    add_parameter_options(parser, "attitude_node")
     parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="default %(default)s")
     add_topic_option(parser, ("imu", "altitude", "pressure", "truth"))
     return parser

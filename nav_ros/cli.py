@@ -8,6 +8,7 @@ import argparse
 import contextlib
 import csv
 import dataclasses
+import difflib
 import json
 import sys
 import warnings
@@ -21,6 +22,7 @@ from inertial.scoring import score_attitude
 from nav_ros.bags import TOPICS, TYPES, BagError, BagReader, BagWarning, BagWriter
 from nav_ros.frames import q_nb_from_orientation, swap_enu_ned_covariance
 from nav_ros.messages import ORIENTATION, ORIENTATION_COVARIANCE, decode_batch
+from nav_ros.parameters import load_parameter_file, parameter_names, params_from_values
 from nav_ros.recorded import recorded_messages
 from nav_ros.simulated import DESCRIPTIONS, simulate_scenario
 
@@ -39,6 +41,50 @@ def add_topic_option(parser, keys):
 def topics_of(arguments):
     """Return key -> topic with the remaps that :func:`add_topic_option` has collected."""
     return TOPICS | dict(arguments.topics)
+
+
+def add_parameter_options(parser, node_name):
+    """Give a parser the options ``--params FILE`` and ``-p NAME:=VALUE`` for the parameters of a node."""
+    parser.add_argument("--params", metavar="FILE", help=f"ROS 2 parameter file of {node_name}")
+    parser.add_argument("-p", "--param", action="append", default=[], metavar="NAME:=VALUE", dest="set",
+                        help="one parameter, as after --ros-args")
+
+
+def parameters_of(arguments, node_name, params_class):
+    """Return the parameters that :func:`add_parameter_options` has collected.
+
+    Raises
+    ------
+    ValueError
+        A name that does not exist (the nearest one is told), or a value that is refused.
+    """
+    names = parameter_names(params_class)
+    values = load_parameter_file(arguments.params, node_name, names) if arguments.params else {}
+    for text in arguments.set:
+        name, separator, value = text.partition(":=")
+        if not separator:
+            raise ValueError(f"-p {text}: expected NAME:=VALUE")
+        if name not in names:
+            (near,) = difflib.get_close_matches(name, names, 1, 0.0)
+            raise ValueError(f"-p {text}: there is no parameter {name}; did you mean {near}?")
+        values[name] = parse_value(value)
+    return params_from_values(params_class, values)
+
+
+def parse_value(text):
+    """Return a parameter value as ROS reads it from a command line.
+
+    Raises
+    ------
+    ValueError
+        It is not YAML.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+    try:
+        return YAML(typ="safe").load(text)
+    except YAMLError as error:
+        raise ValueError(f"{text!r} is not a parameter value: {error.problem}") from error
 
 
 @contextlib.contextmanager
@@ -91,7 +137,7 @@ def score_bag_main(arguments=None):
                 rows = csv.writer(file)
                 rows.writerows([["bag", *score], [options.bag, *score.values()]])
         if options.json:
-            print(json.dumps({key: _json_number(value) for key, value in score.items()}))
+            print(json.dumps({key: json_number(value) for key, value in score.items()}))
         else:
             for key, value in score.items():
                 print(f"{key:20} {value:.4f}" if isinstance(value, float) else f"{key:20} {value}")
@@ -179,5 +225,6 @@ def _remap(text, keys):
     return key, topic
 
 
-def _json_number(value):
-    return None if isinstance(value, float) and np.isnan(value) else value
+def json_number(value):
+    """Return a value as JSON has it: None for what is not a finite number."""
+    return None if isinstance(value, float) and not np.isfinite(value) else value
