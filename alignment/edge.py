@@ -80,7 +80,7 @@ def table_angle(positions, joint_name):
 
 def joint_position(angle):
     """Return the joint's position of a table angle, rad."""
-    return -angle
+    return 0.0 - angle  # no negative zero
 
 
 def level_values(level):

@@ -21,7 +21,7 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import remove_ros_args
-from sensor_msgs.msg import Imu, JointState, NavSatFix
+from sensor_msgs.msg import Imu, JointState, NavSatFix, NavSatStatus
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
@@ -45,6 +45,7 @@ from nav_ros.parameters import declare_parameters, on_change
 SENSOR_QOS = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 OUTPUT_QOS = QoSProfile(depth=100, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 REPORT_PERIOD = 1.0  # s
+BACKLOG = 50  # messages of one topic served in one turn, so that the other keeps up
 SILENCE = 1.0  # s without a message after which a sensor has stopped
 JUMP_BACK_NS = 500_000_000  # stamps that go back further begin a new alignment
 
@@ -79,6 +80,16 @@ class AlignmentNode(Node):
         self.get_logger().info("ready")
 
     def _subscribe(self, kind, topic, take):
+        def serve(raw):
+            """Serve one message and those that wait behind it: waking up costs rclpy more than they do."""
+            guarded(raw)
+            with subscription.handle:
+                for _ in range(BACKLOG):
+                    waiting = subscription.handle.take_message(kind, True)
+                    if waiting is None:
+                        return
+                    guarded(waiting[0])
+
         def guarded(raw):
             """Outermost guard: whatever is wrong with one message, the next one is served."""
             try:
@@ -96,8 +107,9 @@ class AlignmentNode(Node):
                         Level.ERROR)
 
         events = SubscriptionEventCallbacks(use_default_callbacks=False, incompatible_qos=incompatible)
-        self.create_subscription(kind, topic, guarded, SENSOR_QOS, raw=True, event_callbacks=events,
-                                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        subscription = self.create_subscription(
+            kind, topic, serve, SENSOR_QOS, raw=True, event_callbacks=events,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def _now_ns(self):
         return self.get_clock().now().nanoseconds
@@ -140,7 +152,7 @@ class AlignmentNode(Node):
         if self._fixed_latitude:
             return
         latitude = math.radians(fix.latitude)
-        if fix.status.status < 0 or not abs(latitude) <= 0.5 * math.pi:
+        if fix.status.status == NavSatStatus.STATUS_NO_FIX or not abs(latitude) <= 0.5 * math.pi:
             self._fault("no_fix", "fix: no position in it", Level.WARN)
         elif not abs(latitude - self._session.params.latitude) <= self._params.latitude_std:
             self.get_logger().info(f"latitude {fix.latitude:.5f} deg from fix")

@@ -18,6 +18,7 @@ from alignment.station import TableAlignment, align_turning
 _REFRESH = 5.0  # s of turning, or this share of it, after which it is solved anew
 _REFRESH_SHARE = 0.1
 _PREVIEW = 1.0  # s of standing from which a first level is given
+_FEWEST_ANGLES = 3
 _NO_LATITUDE = "the latitude is not known: level only"
 
 
@@ -162,7 +163,7 @@ class TableSession:
             return f"dwell of {collector.elapsed:.1f} s, {self.params.dwell_time:g} s wanted"
         if not collector.still:
             return "the table turns or has not settled"
-        return f"waits for the table at {math.degrees(self.wanted):.2f} deg"
+        return f"waits for table angle {math.degrees(self.wanted):.2f} deg, clockwise"
 
     @property
     def refusal(self):
@@ -175,11 +176,17 @@ class TableSession:
         if self._no_latitude:
             return self._no_latitude
         if north is None:
-            return self._missing or self.result.reason
+            return self._missing or self._too_few
         return "; ".join(text for flag, text in _REASONS.items() if north.flags & flag & UNBELIEVABLE).format(
             scale=explain_scale(float(north.scale)) if np.isfinite(north.scale) else "",
             other=math.degrees(float(north.branches[1])) if len(north.branches) > 1 else math.nan,
             chi2=float(north.chi2))
+
+    @property
+    def _too_few(self):
+        if len(self.dwells) < _FEWEST_ANGLES:
+            return f"{len(self.dwells)} of at least {_FEWEST_ANGLES} table angles so far"
+        return self.result.reason
 
     def compare(self):
         """Return levels and headings by every method that the dwells serve: two dicts, name to result.

@@ -30,6 +30,7 @@ ROLL, PITCH, HEADING = (math.radians(angle) for angle in (2.0, -1.5, 130.0))
 """Where the table stands, and how."""
 
 _ANGLES = np.radians([0.0, 90.0, 180.0, 270.0, 270.0, 180.0, 90.0, 0.0])
+_JOINT_RATE = 20.0  # Hz
 _TRUTH_PERIOD_NS = 100_000_000
 _SLOWEST = 8.0  # durations: what is slower still is part of the bias
 _DEG = math.pi / 180
@@ -96,13 +97,12 @@ def simulate_table(scenario, *, duration=148.0, imu_rate=100.0, seed=0):
     duration : float, s
         One round takes eight times STAND + MOVE.
     imu_rate : float, Hz
-        Also that of the table's angle.
     seed : int
 
     Returns
     -------
     inertial.recording.Recording
-        With the table's angle at every sample, and the attitude of the table at angle zero as the truth.
+        With the table's angle at 20 Hz, and the attitude of the table at angle zero as the truth.
 
     Raises
     ------
@@ -123,9 +123,10 @@ def simulate_table(scenario, *, duration=148.0, imu_rate=100.0, seed=0):
     imu = ImuSeries(measured.stamp_ns, measured.gyro_b + flicker, measured.accel_b)
     truth_ns = np.arange(imu.stamp_ns[0], imu.stamp_ns[-1] + 1, _TRUTH_PERIOD_NS)
     truth = AttitudeSeries(truth_ns, np.tile(quaternion_from_dcm(dcm_nt), (len(truth_ns), 1)))
+    joint_ns = imu.stamp_ns[::max(1, round(imu_rate / _JOINT_RATE))]
     # The first sample ends at time zero.
-    time = (imu.stamp_ns - imu.stamp_ns[0]) * 1e-9
-    return Recording(scenario, imu, truth=truth, joint=JointSeries(imu.stamp_ns, angle(time)))
+    time = (joint_ns - imu.stamp_ns[0]) * 1e-9
+    return Recording(scenario, imu, truth=truth, joint=JointSeries(joint_ns, angle(time)))
 
 
 def table_angle(duration):

@@ -1,7 +1,8 @@
 """attitude_demo: the whole product once round, scored against the truth.
 
-``replay_node`` plays a bundled bag and ``attitude_node`` estimates, each a process of its own, over DDS. This
-process listens, compares with the truth in the bag, prints a table and writes ``report.html`` and
+``replay_node`` plays a bundled flight and ``attitude_node`` estimates, each a process of its own, over DDS. Another
+``replay_node`` plays an IMU on a turntable in the namespace ``/table``, where ``alignment_node`` finds north. This
+process listens, compares with the truth in the bags, prints a table and writes ``report.html`` and
 ``attitude.png``. Exit status 1 when a figure is outside its stated bound or a process dies.
 """
 
@@ -19,22 +20,28 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
+from inertial.rotation import dcm_from_quaternion, euler_from_dcm
 from inertial.scoring import score_attitude
 from nav_ros.bags import TOPICS, read_recording
 from nav_ros.frames import q_nb_from_orientation, swap_enu_ned_covariance
 from nav_ros.messages import IMU, ORIENTATION, ORIENTATION_COVARIANCE, decode_batch
 from nav_ros.report import AttitudeRun, Figure, text_table, write_report
-from nav_ros.resources import bundled_bag, executable
+from nav_ros.resources import bundled_bag, bundled_config, executable
 
 SIGMA_RATIO = (0.7, 1.2)  # error over what the filter predicts: below it is timid, above it overconfident
 COVERAGE = 0.95
 RATE = 2.0  # times real time: 400 Hz of a 200 Hz bag
 PATIENCE = 180.0  # s for the start, which may have kernels to compile
+TABLE, TABLE_RATE = "/table", 4.0  # namespace, times real time
+TABLE_LATITUDE = math.radians(35.0)
+HEADING_SIGMA_DEG = 0.15  # after the two and a half minutes of the bundled turntable
+HEADING_SIGMAS = 3.0
 QUIET = 1.0  # s without a message after the end of the replay
 FAREWELL = 5.0  # s for a process to end after SIGINT
 # Every event handler and service would be looked at for each message.
@@ -49,9 +56,9 @@ class DemoError(Exception):
 class Process:
     """One of the package's executables, with what it says kept in a file."""
 
-    def __init__(self, name, folder, arguments=()):
+    def __init__(self, name, folder, arguments=(), label=""):
         self.name = name
-        self._log = folder / f"{name}.log"
+        self._log = folder / f"{name}{label}.log"
         with self._log.open("w") as log:
             self._popen = subprocess.Popen([str(executable(name)), *arguments], stdin=subprocess.DEVNULL,
                                            stdout=log, stderr=subprocess.STDOUT)
@@ -93,9 +100,15 @@ class Listener:
 
     def __init__(self, node):
         self.sent_at, self.received_at, self.attitudes = {}, {}, []
+        self.heading = None
         # The input first: of two waiting messages it is seen before its answer.
         for topic, callback in (("imu/data_raw", self._on_input), ("imu/data", self._on_output)):
             node.create_subscription(Imu, topic, callback, QUEUE, raw=True, event_callbacks=NO_EVENTS)
+        node.create_subscription(PoseWithCovarianceStamped, f"{TABLE}/alignment/heading", self._on_heading,
+                                 QUEUE, event_callbacks=NO_EVENTS)
+
+    def _on_heading(self, message):
+        self.heading = message
 
     def _on_input(self, raw):
         self.sent_at[raw[4:12]] = time.monotonic()
@@ -151,6 +164,7 @@ def replay_and_listen(bag, expected, rate, folder, progress):
     listener : Listener
     cpu_per_message : float, s, of attitude_node
     """
+    table_arguments = ["--ros-args", "-r", f"__ns:={TABLE}"]
     with contextlib.ExitStack() as cleanup:
         rclpy.init()
         cleanup.callback(rclpy.try_shutdown)
@@ -161,6 +175,10 @@ def replay_and_listen(bag, expected, rate, folder, progress):
         listener = Listener(node)
         attitude = Process("attitude_node", folder)
         cleanup.callback(attitude.end)
+        alignment = Process("alignment_node", folder, [
+            *table_arguments, "--params-file", str(bundled_config("alignment_navigation.yaml")),
+            "-p", f"latitude:={TABLE_LATITUDE}"])
+        cleanup.callback(alignment.end)
         # Two subscribers, this process and attitude_node, which listens once its kernels are compiled.
         replay = Process("replay_node", folder, ["--ros-args", "-p", f"bag:={bag}", "-p", f"rate:={rate}",
                                                  "-p", "wait_for_subscribers:=2"])
@@ -168,11 +186,15 @@ def replay_and_listen(bag, expected, rate, folder, progress):
 
         progress.tell("waiting for attitude_node (its first start compiles the kernels, about a minute)")
         _wait_for_attitude(executor, listener, attitude, replay)
+        table = Process("replay_node", folder, [
+            *table_arguments, "-p", f"bag:={bundled_bag('turntable')}", "-p", f"rate:={TABLE_RATE}"], "_table")
+        cleanup.callback(table.end)
         cpu_start, count_start = attitude.cpu_time(), len(listener.attitudes)
-        while replay.status is None:
+        processes = [attitude, replay, alignment, table]
+        while replay.status is None or table.status is None:
             share = len(listener.attitudes) / expected
             progress.tell(f"replaying {bag.name} at {rate:g} times real time", share)
-            _spin(executor, [attitude, replay], 0.2)
+            _spin(executor, processes, 0.2)
         while _spin(executor, [attitude], QUIET) and len(listener.attitudes) < expected:
             pass
         handled = len(listener.attitudes) - count_start
@@ -238,6 +260,31 @@ def demo_figures(score, sent, received, cpu_per_message, latency):
     ]
 
 
+def heading_figures(message, truth):
+    """Return the rows of the table for the last heading of ``alignment_node``, None if there was none.
+
+    Parameters
+    ----------
+    message : geometry_msgs.msg.PoseWithCovarianceStamped or None
+    truth : inertial.recording.AttitudeSeries
+        Of the table at joint zero.
+    """
+    name, expected = "heading of the turntable", f"error at most {HEADING_SIGMAS:g} sigma"
+    if message is None:
+        return [Figure(name, "none", expected, False)]
+    orientation = message.pose.pose.orientation
+    yaw_deg = math.degrees(2.0 * math.atan2(orientation.z, orientation.w))
+    heading_deg, sigma_deg = (90.0 - yaw_deg) % 360.0, math.degrees(math.sqrt(message.pose.covariance[35]))
+    truth_deg = math.degrees(euler_from_dcm(dcm_from_quaternion(truth.q_nb_wxyz[-1]))[2]) % 360.0
+    error = math.remainder(heading_deg - truth_deg, 360.0)
+    return [
+        Figure(name, f"{heading_deg:.2f} +- {sigma_deg:.2f} deg", f"truth {truth_deg:.2f} deg"),
+        Figure("heading error", f"{error:+.3f} deg, {abs(error) / sigma_deg:.1f} sigma", expected,
+               abs(error) <= HEADING_SIGMAS * sigma_deg),
+        Figure("heading sigma", f"{sigma_deg:.3f} deg", f"at most {HEADING_SIGMA_DEG:g} deg",
+               sigma_deg <= HEADING_SIGMA_DEG)]
+
+
 def run_demo(options, progress):
     """Run, print the table, write the report; return whether every figure is within its bound."""
     options.out.mkdir(parents=True, exist_ok=True)
@@ -251,6 +298,7 @@ def run_demo(options, progress):
     progress.tell("scoring")
     run, score = attitude_run(listener.attitudes, recording.truth)
     figures = demo_figures(score, sent, len(listener.attitudes), cpu_per_message, listener.latency())
+    figures += heading_figures(listener.heading, read_recording(bundled_bag("turntable")).truth)
     seconds = (recording.imu.stamp_ns[-1] - recording.imu.stamp_ns[0]) * 1e-9
     title = f"{recording.name}: {seconds:.0f} s at {sent / seconds:.0f} Hz, {options.rate:g} times real time"
     report = write_report(options.out, title, run, score, figures)

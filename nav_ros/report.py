@@ -158,7 +158,7 @@ td, th { text-align: left; padding: .3rem 1.6rem .3rem 0; border-bottom: 1px sol
 </style>
 </head>
 <body>
-<h1>Roll and pitch against the truth</h1>
+<h1>Roll, pitch and heading against the truth</h1>
 <p class="what">$title</p>
 <p>$summary</p>
 <img alt="Roll and pitch, estimated and true, with the error and its 3-sigma band"
@@ -169,7 +169,9 @@ $rows
 </table>
 <p class="remark">Angles are of the body (x forward, y right, z down) against north-east-down: right wing
 down and nose up are positive. RMS values leave out the first 5 s. The band is the filter's own opinion of its
-error; an honest filter's error is inside of it nearly always and fills about a third of it.</p>
+error; an honest filter's error is inside of it nearly always and fills about a third of it. The heading is
+that of a turntable at rest, found in two and a half minutes from the Earth's rotation alone; it is simulated
+with navigation-grade sensors.</p>
 </body>
 </html>
 """)
