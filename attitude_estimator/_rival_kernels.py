@@ -138,19 +138,18 @@ def _carry(F, p):
 
 
 @njit(cache=True)
-def _tangent(pitch):
+def _tangent(sine, cosine):
     """Tangent of the pitch, kept finite at +-90 deg."""
-    cosine = math.cos(pitch)
     if abs(cosine) < SMALLEST_COSINE:
         cosine = SMALLEST_COSINE if cosine >= 0.0 else -SMALLEST_COSINE
-    return math.sin(pitch) / cosine
+    return sine / cosine
 
 
 @njit(cache=True)
 def euler_rates(x, w, f, g):
     """Time derivatives of roll, pitch, velocity down and altitude."""
     sr, cr, sp, cp = math.sin(x[0]), math.cos(x[0]), math.sin(x[1]), math.cos(x[1])
-    return (w[0] + _tangent(x[1]) * (sr * w[1] + cr * w[2]), cr * w[1] - sr * w[2],
+    return (w[0] + _tangent(sp, cp) * (sr * w[1] + cr * w[2]), cr * w[1] - sr * w[2],
             -sp * f[0] + cp * (sr * f[1] + cr * f[2]) + g, -x[2])
 
 
@@ -158,7 +157,7 @@ def euler_rates(x, w, f, g):
 def euler_jacobian(x, w, f):
     """Derivative of :func:`euler_rates` with respect to the state, (4, 4)."""
     sr, cr, sp, cp = math.sin(x[0]), math.cos(x[0]), math.sin(x[1]), math.cos(x[1])
-    tangent = _tangent(x[1])
+    tangent = _tangent(sp, cp)
     A = np.zeros((4, 4))
     A[0, 0] = tangent * (cr * w[1] - sr * w[2])
     A[0, 1] = (1.0 + tangent * tangent) * (sr * w[1] + cr * w[2])
@@ -190,7 +189,7 @@ def euler_step(x, w, f, g, dt, first_order):
 
 @njit(cache=True)
 def _add_euler_noise(p, pitch, q_angle, q_vd):
-    p[0, 0] += q_angle * (1.0 + _tangent(pitch) ** 2)
+    p[0, 0] += q_angle * (1.0 + _tangent(math.sin(pitch), math.cos(pitch)) ** 2)
     p[1, 1] += q_angle
     p[2, 2] += q_vd
 
@@ -488,8 +487,7 @@ def _start_attitude(x, p, model, q, down, axis_var):
                     p[i, j] += 0.25 * axis_var * moved[i] * moved[j]
     else:
         x[0], x[1] = math.atan2(down[1], down[2]), math.atan2(-down[0], math.hypot(down[1], down[2]))
-        p[0, 0] = axis_var * (1.0 + _tangent(x[1]) ** 2)
-        p[1, 1] = axis_var
+        _add_euler_noise(p, x[1], axis_var, 0.0)
 
 
 @njit(cache=True)
