@@ -44,7 +44,7 @@ from nav_ros.messages import (
     decode,
 )
 from nav_ros.parameters import declare_parameters, on_change, parameter_names
-from nav_ros.sensor_loop import spin_sensors
+from nav_ros.sensor_loop import SensorGroup, spin_sensors
 from nav_ros.time_gate import StampCode, TimeGate
 
 DEPTH = 1000  # messages; half a second of a fast IMU while the machine is busy elsewhere
@@ -94,6 +94,7 @@ class AttitudeNode(Node):
         self.create_service(SetBool, "~/use_altitude", self._on_use_altitude)
         self.create_timer(WATCH_PERIOD, self._watch)
         # The altimeter first: of two messages that wait together, it is taken before the IMU's.
+        self._sensor_group = SensorGroup()
         self.sensors = [*self._subscribe_altimeters(),
                         (self._subscribe(Imu, "imu/data_raw", self._take_imu), self._take_imu)]
         self._tell_unknown_parameters()
@@ -137,7 +138,7 @@ class AttitudeNode(Node):
         events = SubscriptionEventCallbacks(use_default_callbacks=False,
                                             incompatible_qos=self._on_bad_qos(topic))
         return self.create_subscription(message_type, topic, callback, SENSOR_QOS, raw=True,
-                                        event_callbacks=events,
+                                        event_callbacks=events, callback_group=self._sensor_group,
                                         qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def _subscribe_altimeters(self):
@@ -177,7 +178,8 @@ class AttitudeNode(Node):
         except MalformedMessageError as error:
             self._fault("malformed", f"imu/data_raw: {error}", Level.WARN)
         except Exception as error:
-            self._fault("exception", f"imu/data_raw: {type(error).__name__}: {error}", Level.ERROR)
+            if rclpy.ok():  # otherwise a signal has shut down under this message
+                self._fault("exception", f"imu/data_raw: {type(error).__name__}: {error}", Level.ERROR)
 
     def _accept_stamp(self, stamp_ns):
         code = self._gate.check(stamp_ns)

@@ -296,13 +296,14 @@ class ReplayNode(Node):
         return False
 
     def _send(self, topic, raw):
-        answered = self._window is not None and topic == self._imu_topic
-        if answered:
+        if self._window is not None:
+            # Every topic waits, not only the IMU's: the listener then gets all in recorded order.
             if not self._window.wait_for_room(self.params.lockstep_timeout):
                 self._window.give_up()
                 self.get_logger().warning(f"no answer on {self.params.lockstep_topic} within "
                                           f"{self.params.lockstep_timeout:g} s: going on without")
-            self._window.sent(_stamp(raw))
+            if topic == self._imu_topic:
+                self._window.sent(_stamp(raw))
         self._senders[topic].publish(raw)
         self._published[topic] += 1
 

@@ -8,11 +8,21 @@ executor gets a turn every :data:`HOUSEKEEPING` seconds for the rest.
 import time
 
 import rclpy
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.subscription import Subscription
 
 HOUSEKEEPING = 0.05  # s from one turn of the executor to the next
-BACKLOG = 1000  # messages of one subscription served in a row
+BACKLOG = 1000  # messages served in a row
+
+
+class SensorGroup(MutuallyExclusiveCallbackGroup):
+    """Callback group of the sensors: the executor has their events, but leaves their messages to the loop."""
+
+    def can_execute(self, entity):
+        """Whether the executor may serve an entity."""
+        return not isinstance(entity, Subscription) and super().can_execute(entity)
 
 
 def spin_sensors(node, sensors):
@@ -22,7 +32,7 @@ def spin_sensors(node, sensors):
     ----------
     node : rclpy.node.Node
     sensors : list of (rclpy.subscription.Subscription, callable)
-        Raw subscriptions with what takes their bytes; of messages that wait together, those of the first
+        Raw subscriptions of a :class:`SensorGroup` with what takes their bytes; of messages that wait together, those of the first
         subscription are served first.
 
     Raises
@@ -41,13 +51,15 @@ def spin_sensors(node, sensors):
             for subscription, _ in sensors:
                 wait_set.add_subscription(subscription.handle)
             wait_set.wait(round(left * 1e9))
-            for subscription, take in sensors:
-                _serve_waiting(subscription, take)
+            _serve_waiting(sensors)
 
 
-def _serve_waiting(subscription, take):
+def _serve_waiting(sensors):
     for _ in range(BACKLOG):
-        waiting = subscription.handle.take_message(subscription.msg_type, True)
-        if waiting is None:
+        for subscription, take in sensors:
+            waiting = subscription.handle.take_message(subscription.msg_type, True)
+            if waiting is not None:
+                take(waiting[0])
+                break
+        else:
             return
-        take(waiting[0])

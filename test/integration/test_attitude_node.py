@@ -28,10 +28,6 @@ TYPES = {"imu/data": Imu, "imu/rpy/filtered": Vector3Stamped, "attitude/state": 
          "imu/gyro_bias": Vector3Stamped, "imu/accel_bias": Vector3Stamped}
 SAME = 1e-9
 """The same kernels on the same samples: what is left is the last bits of a matrix product."""
-EQUAL_SHARE = 0.5
-"""Of the messages, though altitudes may come late; nine tenths are usual."""
-OVERTAKEN = 100
-"""Samples by which an altitude may come late and count: altitude_buffer, 0.5 s, of 200 Hz."""
 TILT_RMS_DEG = 2.0
 """A coarse limit, of simulated turns with a consumer's IMU and of a hand-held recording's first seconds."""
 NEES = 4.0
@@ -94,20 +90,7 @@ def same(run, topic):
 
 @pytest.mark.parametrize("topic", TYPES)
 def test_estimate_bag_writes_what_the_node_publishes(run, topic):
-    """DDS keeps no order between topics: an altitude may change places with the samples beside it.
-
-    It counts at its stamp all the same, so what differs is soon equal again to the last digit.
-    """
-    equal = same(run, topic)
-    assert equal.mean() > EQUAL_SHARE
-    others = np.diff(np.flatnonzero(equal), prepend=-1, append=len(equal)) - 1
-    assert others.max() <= OVERTAKEN
-
-
-def test_without_altitude_node_and_estimate_bag_are_equal_throughout(turn_bag, tmp_path, bench):
-    run = Run(turn_bag, tmp_path, bench, "altitude_source:=none")
-    for topic in TYPES:
-        assert len(run.heard[topic]) > 500 and same(run, topic).all()
+    assert len(run.heard[topic]) > 100 and same(run, topic).all()
 
 
 def test_a_clean_run_counts_no_fault(run):
@@ -301,13 +284,13 @@ def test_namespace_remaps_and_time_of_the_replay(bench, turn_bag):
     peer = bench.peer("/vehicle")
     diagnostics = bench.diagnostics(peer, "vehicle/attitude_node")
     heard = {topic: peer.hear(kind, topic) for topic, kind in TYPES.items()}
-    bench.replay(turn_bag, "publish_clock:=true", "in_flight:=20",
+    bench.replay(turn_bag, "publish_clock:=true", "in_flight:=20", "rate:=4.0",
                  remaps=["-r", "__ns:=/vehicle", "-r", "imu/data_raw:=/sensors/imu"])
     stamps = read_recording(turn_bag).imu.stamp_ns
     assert len(heard["imu/data"]) == len(stamps)
     assert all(heard.values())
     reports = diagnostics.reports
-    assert len(reports) > 5
+    assert len(reports) > 1
     for stamp, status in reports[1:]:
         assert stamps[0] * 1e-9 <= stamp <= stamps[-1] * 1e-9 + 1.0
         assert "clock" not in status.message
