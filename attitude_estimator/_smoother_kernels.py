@@ -1,7 +1,7 @@
 """Compiled backward pass of the smoother, over the steps of the forward filter as plain arrays.
 
-The state is ``[c vd h bg ba]`` of ``docs/attitude.md``: down direction, velocity down, altitude, biases of gyro
-and accelerometer. How the filter keeps its own state is not known here.
+The state is ``[c vd h bg ba]`` of ``docs/attitude.md``: down direction, velocity down, altitude, biases of
+gyro and accelerometer. How the filter keeps its own state is not known here.
 """
 
 import math
@@ -17,7 +17,7 @@ VD, ALT, BG, BA = 3, 4, 5, 8
 
 @njit(cache=True)
 def smooth_back(before_x, before_P, before_known, predicted_x, predicted_P, keeps, dt, samples,
-                gravity, earth_rate_down, accel_bias_time, x, P, known, out_x, out_P, out_known):
+                gravity, earth_rate_down, accel_bias_time, lost_trace, x, P, known, out_x, out_P, out_known):
     """Go back over n steps from the smoothed state after the last of them.
 
     Parameters
@@ -31,6 +31,8 @@ def smooth_back(before_x, before_P, before_known, predicted_x, predicted_P, keep
     dt, samples : (n,) s, (n, 6) rad/s and m/s^2
         What they were carried with.
     gravity, earth_rate_down, accel_bias_time : float, SI
+    lost_trace : float
+        Trace of the down direction's covariance above which there is no attitude.
     x, P, known : (N,), (N, N), bool
         Smoothed state after the last step; `x` and `P` are replaced by the one before the first.
     out_x, out_P, out_known : (n, N), (n, N, N), (n,) bool
@@ -50,6 +52,7 @@ def smooth_back(before_x, before_P, before_known, predicted_x, predicted_P, keep
         if known and not before_known[k] and keeps[k, 0]:
             noise = predicted_P[k] - _times_transposed(_times(F, before_P[k]), F)
             _carry_back(noise, keeps[k], dt[k], samples[k], gravity, earth_rate_down, x, P)
+            known = P[0, 0] + P[1, 1] + P[2, 2] < lost_trace
         else:
             _smooth(before_x[k], before_P[k], before_known[k], predicted_x[k], predicted_P[k],
                     _times_transposed(before_P[k], F), keeps[k], x, P)
@@ -86,7 +89,7 @@ def _transition(x, R, jv, jh, dt, accel_bias_time):
 
 @njit(cache=True)
 def _smooth(before_x, before_P, before_known, predicted_x, predicted_P, cross, keeps, x, P):
-    """Rauch, Tung and Striebel's step; `cross` is the covariance of the state before and the predicted one."""
+    """Rauch, Tung and Striebel's step; `cross` is the covariance of the states before and predicted."""
     S = predicted_P.copy()
     if before_known:
         # Unit length leaves no covariance along the down direction; whatever stands there has no effect.
@@ -124,6 +127,43 @@ def _carry_back(noise, keeps, dt, sample, gravity, earth_rate_down, x, P):
     x[:3] = _times_vector(R, x[:3])
     x[VD] -= jv[0] * x[0] + jv[1] * x[1] + jv[2] * x[2] + dt * gravity
     x[ALT] += (dt * x[VD] + jh[0] * x[0] + jh[1] * x[1] + jh[2] * x[2] + 0.5 * dt * dt * gravity)
+
+
+@njit(cache=True)
+def carry_heading(down, gyro_b, bias_variance, known, starts, dt, noise_density, north, yaw_variance):
+    """Integrate the gyro about the down direction, forward; the nose points east where it starts.
+
+    Parameters
+    ----------
+    down, gyro_b : (n, 3), pure number and rad/s
+    bias_variance : (n, 3), rad^2/s^2
+    known, starts : (n,) bool
+        Where there is an attitude, and where it does not follow from the sample before.
+    dt : (n,), s
+        To each sample from the one before.
+    noise_density : float, rad/s/sqrt(Hz)
+    north, yaw_variance : (n, 3), (n,) rad^2
+        North in body axes and the variance of the yaw; written where `known`.
+    """
+    bias_std = noise_var = 0.0
+    for k in range(len(dt)):
+        if not known[k]:
+            continue
+        d = down[k]
+        if k == 0 or starts[k] or not known[k - 1]:
+            bias_std = noise_var = 0.0
+            n = np.array([-d[1], d[0], 0.0]) if abs(d[0]) > 0.99 else np.array([0.0, -d[2], d[1]])
+        else:
+            R, _, _ = zoh_integrals(gyro_b[k], dt[k])
+            n = _times_vector(R.T, north[k - 1])
+            rate2 = 0.0
+            for i in range(3):
+                rate2 += d[i] ** 2 * bias_variance[k, i]
+            bias_std += dt[k] * math.sqrt(rate2)
+            noise_var += dt[k] * noise_density**2
+        n -= (n[0] * d[0] + n[1] * d[1] + n[2] * d[2]) * d
+        north[k] = n / math.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+        yaw_variance[k] = bias_std**2 + noise_var
 
 
 @njit(cache=True)

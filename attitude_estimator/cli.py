@@ -2,6 +2,7 @@
 
 Messages are taken in recorded order through the node's own time gate and time buffer, so the output bag has
 what ``attitude_node`` would have published. Parts of a recording are decoded, estimated and encoded at once.
+With ``--smooth`` the whole bag is one part, and each estimate knows what came after it.
 """
 
 import argparse
@@ -13,6 +14,7 @@ import numpy as np
 
 from attitude_estimator.edge import OUTPUT_TYPES, AttitudeNodeParams, OutputMessages, stamp_actions
 from attitude_estimator.estimator import AttitudeEstimator, Estimates
+from attitude_estimator.smoother import smooth
 from inertial.recording import AltitudeSeries, ImuSeries
 from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
 from nav_ros.bags import TYPES, BagError, BagReader, BagWriter, choose_altitude
@@ -45,11 +47,15 @@ class BagEstimator:
     params : AttitudeNodeParams
     imu_topic, altimeter_topic : str or None
     altimeter_type : str or None
+    smoothed : bool
+        Each part is then taken for a whole recording and smoothed.
     """
 
-    def __init__(self, params, imu_topic, altimeter_topic, altimeter_type):
+    def __init__(self, params, imu_topic, altimeter_topic, altimeter_type, smoothed=False):
         self._params = params
         self._estimator = AttitudeEstimator(params)
+        self._smoothed = smoothed
+        self._faults = self._estimator.faults
         self._gate = gate_state()
         self._messages = OutputMessages(params.mounting_rpy)
         self._imu_topic, self._altimeter_topic = imu_topic, altimeter_topic
@@ -69,18 +75,26 @@ class BagEstimator:
             if code not in (StampCode.STEP, StampCode.FIRST):
                 self.counts[code.name.lower()] += int(np.sum(codes == code))
         series = ImuSeries(stamps, swap_flu_frd(batch.values[:, GYRO]), swap_flu_frd(batch.values[:, ACCEL]))
-        estimates, fresh = self._estimator.run(series, *self._altitudes(part, batch.index),
-                                               actions=stamp_actions(codes))
+        estimates, fresh = self._run(series, *self._altitudes(part, batch.index), stamp_actions(codes))
         self.counts["samples"] += len(estimates)
         receive_ns = np.array([message.receive_ns for message in imu], np.int64)[batch.index][fresh]
         frame_ids = [batch.frame_id[k] for k in np.flatnonzero(fresh)]
         return self._encode(estimates, receive_ns, frame_ids)
 
+    def _run(self, imu, altitude, variance, actions):
+        if self._smoothed:
+            estimates, fresh, self._faults = smooth(imu, altitude, variance, params=self._params,
+                                                    actions=actions)
+        else:
+            estimates, fresh = self._estimator.run(imu, altitude, variance, actions=actions)
+            self._faults = self._estimator.faults
+        return estimates, fresh
+
     @property
     def faults(self):
         """Name -> count of everything that was refused or bridged."""
         counts = {name: count for name, count in self.counts.items() if name != "samples"}
-        return {name: count for name, count in (vars(self._estimator.faults) | counts).items() if count}
+        return {name: count for name, count in (vars(self._faults) | counts).items() if count}
 
     def _altitudes(self, part, imu_index):
         """Return the altitudes of a part and their variances; arrival counts decoded IMU messages."""
@@ -141,7 +155,7 @@ class BagEstimator:
         return self._encoders[key]
 
 
-def estimate_bag(path, out, params, topics, storage="mcap"):
+def estimate_bag(path, out, params, topics, storage="mcap", *, smoothed=False):
     """Write the estimates of one bag into another, with a copy of the truth.
 
     Parameters
@@ -151,6 +165,8 @@ def estimate_bag(path, out, params, topics, storage="mcap"):
     topics : dict
         Key -> topic, see :data:`nav_ros.bags.TOPICS`.
     storage : {"mcap", "sqlite3"}
+    smoothed : bool
+        Let each estimate know the whole bag, which is then held in memory.
 
     Returns
     -------
@@ -166,14 +182,15 @@ def estimate_bag(path, out, params, topics, storage="mcap"):
         altimeter = choose_altitude(bag.types, topics, params.altitude_source)
         truth = topics["truth"] if topics["truth"] in bag.types else None
         wanted = [topics["imu"], *([topics[altimeter]] if altimeter else []), *([truth] if truth else [])]
-        estimator = BagEstimator(params, topics["imu"], topics.get(altimeter), TYPES.get(altimeter))
+        estimator = BagEstimator(params, topics["imu"], topics.get(altimeter), TYPES.get(altimeter),
+                                 smoothed)
         types = {"/imu/data": IMU} | ({truth: bag.types[truth]} if truth else {})
         types |= {f"/{topic}": kind for topic, kind in OUTPUT_TYPES.items()}
         with BagWriter(out, types, storage) as writer:
             part = []
             for message in progress(bag.messages(wanted), bag.name):
                 part.append(message)
-                if len(part) >= PART:
+                if len(part) >= PART and not smoothed:
                     _write(writer, estimator, part, truth)
                     part = []
             _write(writer, estimator, part, truth)
@@ -201,7 +218,8 @@ def main(arguments=None):
         for bag in bags:
             began = time.perf_counter()
             target = Path(out) / Path(bag).stem if several else Path(out)
-            estimator = estimate_bag(bag, target, params, topics_of(options), options.storage)
+            estimator = estimate_bag(bag, target, params, topics_of(options), options.storage,
+                                     smoothed=options.smooth)
             took = time.perf_counter() - began
             faults = ", ".join(f"{name} {count}" for name, count in estimator.faults.items())
             print(f"{target}: {estimator.counts['samples']} estimates in {took:.1f} s; "
@@ -216,6 +234,8 @@ def _parser():
     parser.add_argument("bags", nargs="+", metavar="IN... OUT",
                         help="bags to read, and the folder to make; of several bags it holds one bag each")
     add_parameter_options(parser, "attitude_node")
+    parser.add_argument("--smooth", action="store_true",
+                        help="estimate each sample from the whole bag, also from what came after it")
     parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="default %(default)s")
     add_topic_option(parser, ("imu", "altitude", "pressure", "truth"))
     return parser

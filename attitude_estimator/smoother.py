@@ -5,22 +5,22 @@ the filter steps over once more, because the covariances of a long recording do 
 Equations: ``docs/attitude.md``. Frames and units: :mod:`inertial`.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from attitude_estimator import _kernels as kernels
-from attitude_estimator._smoother_kernels import smooth_back
+from attitude_estimator._smoother_kernels import carry_heading, smooth_back
 from attitude_estimator.estimator import ACTION_RESET, ACTION_SKIP, AttitudeEstimator, Estimates
 from attitude_estimator.params import AttitudeParams
 from inertial.recording import AltitudeSeries, ImuSeries
-from inertial.rotation import (
-    quaternion_from_dcm,
-)
+from inertial.rotation import quaternion_from_dcm
 
 N, VD, ALT = kernels.N, kernels.VD, kernels.ALT
-DOWN, BG, BA = slice(0, 3), slice(kernels.BG, kernels.BA), slice(kernels.BA, N)
-PART = 4096  # samples whose covariances are held at once, 6 kB each
+BG, BA = slice(kernels.BG, kernels.BA), slice(kernels.BA, N)
+X, P = slice(kernels.X, kernels.X + N), slice(kernels.P, kernels.P + N * N)  # in the filter's memory
+PART = 2048  # samples whose covariances are held at once, 3 kB each
 
 
 def smooth(imu, altitude=None, altitude_variance=None, *, params=None, actions=None):
@@ -59,21 +59,25 @@ def smooth(imu, altitude=None, altitude_variance=None, *, params=None, actions=N
         raise ValueError(f"estimator = {params.estimator}: only dcm_row can be smoothed")
     actions = np.zeros(len(imu), np.int64) if actions is None else np.asarray(actions)
     altitude, variance = _in_time_order(imu, actions, altitude, altitude_variance)
+    parts = [_cut(imu, actions, altitude, variance, first) for first in range(0, len(imu), PART)]
     estimator = AttitudeEstimator(params)
-    parts, memories = [], []
-    rows, fresh = [], []
-    for first in range(0, len(imu), PART):
-        part = _cut(imu, actions, altitude, variance, first, first + PART)
+    rows = np.empty((len(imu), Estimates.ROW_SIZE))
+    fresh = np.zeros(len(imu), bool)
+    memories, ends = [], [0]
+    for k, part in enumerate(parts):
         memories.append(estimator._memory.copy())
         estimates, used = estimator.run(part.imu, part.altitude, part.variance, actions=part.actions)
-        parts.append(part)
-        rows.append(estimates.rows)
-        fresh.append(used)
-    state = _State(estimator._memory)
-    for part, memory, out in zip(reversed(parts), reversed(memories), reversed(rows), strict=True):
-        _smooth_part(_replay(memory, part, len(out)), state, params, out)
-    fresh = np.concatenate(fresh)
-    estimates = Estimates(imu.stamp_ns[fresh], np.concatenate(rows))
+        fresh[k * PART:k * PART + len(used)] = used
+        ends.append(ends[-1] + len(estimates))
+        rows[ends[-2]:ends[-1]] = estimates.rows
+    estimates = Estimates(imu.stamp_ns[fresh], rows[:ends[-1]])
+    covariance, starts = np.empty((len(estimates), 3, 3)), np.empty(len(estimates), bool)
+    after, steps = _Smoothed(estimator._memory), _Steps()
+    for part, memory, first, last in reversed(list(zip(parts, memories, ends[:-1], ends[1:], strict=True))):
+        steps.replay(memory, part)
+        here = slice(first, last)
+        covariance[here], starts[here] = after.go_back(steps, params, rows[here])
+    _write_attitude(estimates, covariance, starts, params)
     return estimates, fresh, estimator.faults
 
 
@@ -107,124 +111,147 @@ def _in_time_order(imu, actions, altitude, variance):
             variance[order])
 
 
-def _cut(imu, actions, altitude, variance, first, last):
-    here = (altitude.arrival >= first) & (altitude.arrival < last)
-    return _Part(ImuSeries(imu.stamp_ns[first:last], imu.gyro_b[first:last], imu.accel_b[first:last]),
-                 actions[first:last],
+def _cut(imu, actions, altitude, variance, first):
+    part = slice(first, first + PART)
+    here = (altitude.arrival >= first) & (altitude.arrival < first + PART)
+    return _Part(ImuSeries(imu.stamp_ns[part], imu.gyro_b[part], imu.accel_b[part]), actions[part],
                  AltitudeSeries(altitude.stamp_ns[here], altitude.altitude[here],
                                 altitude.arrival[here] - first), variance[here])
 
 
-class _State:
-    """Mean and covariance of the filter's state, and whether it has an attitude, as copies."""
-
-    def __init__(self, memory):
-        self.x = memory[kernels.X:kernels.X + N].copy()
-        self.P = memory[kernels.P:kernels.P + N * N].reshape(N, N).copy()
-        self.known = memory[kernels.ATTITUDE] == 1.0
-
-
 class _Steps:
-    """How the filter came to each of n samples; :func:`smooth_back` says what the arrays are."""
+    """How the filter came to each sample of a part; :func:`smooth_back` says what the arrays are.
 
-    def __init__(self, n):
-        self.before_x, self.before_P, self.before_known = np.empty((n, N)), np.empty((n, N, N)), np.empty(n, bool)
-        self.predicted_x, self.predicted_P = np.empty((n, N)), np.empty((n, N, N))
-        self.keeps = np.ones((n, N), bool)
-        self.dt, self.samples = np.empty(n), np.empty((n, 6))
+    ``after_*[k]`` is the filter's state before step k, and ``after_*[k + 1]`` the one after it.
+    """
 
-    def set_before(self, n, memory):
-        self.before_x[n] = memory[kernels.X:kernels.X + N]
-        self.before_P[n] = memory[kernels.P:kernels.P + N * N].reshape(N, N)
-        self.before_known[n] = memory[kernels.ATTITUDE] == 1.0
+    def __init__(self):
+        self.after_x, self.after_P = np.empty((PART + 1, N)), np.empty((PART + 1, N, N))
+        self.after_known = np.empty(PART + 1, bool)
+        self.predicted_x, self.predicted_P = np.empty((PART, N)), np.empty((PART, N, N))
+        self.keeps = np.empty((PART, N), bool)
+        self.dt, self.samples = np.empty(PART), np.empty((PART, 6))
+        self.count = 0
+        self._predicted = np.empty(kernels.M_OUT)
 
-    def set_predicted(self, n, memory):
-        self.predicted_x[n] = memory[kernels.X:kernels.X + N]
-        self.predicted_P[n] = memory[kernels.P:kernels.P + N * N].reshape(N, N)
+    def replay(self, memory, part):
+        """Take the samples of a part once more, from the filter's memory before it."""
+        self.count = waiting = 0
+        self._keep_after(memory, 0)
+        stamps, altitudes = part.imu.stamp_ns.tolist(), part.altitude.altitude.tolist()
+        alt_stamps = part.altitude.stamp_ns.tolist()
+        for k, (stamp, action) in enumerate(zip(stamps, part.actions.tolist(), strict=True)):
+            if action == ACTION_SKIP:
+                continue
+            if action == ACTION_RESET:
+                kernels.reset(memory)
+            self._predicted[:] = memory[:kernels.M_OUT]
+            if kernels.push_imu(memory, stamp, part.imu.gyro_b[k], part.imu.accel_b[k]) != kernels.FRESH:
+                continue
+            self._predict(memory, forget=action == ACTION_RESET)
+            while waiting < len(altitudes) and alt_stamps[waiting] <= stamp:
+                if math.isfinite(altitudes[waiting]):
+                    age = (stamp - alt_stamps[waiting]) * 1e-9
+                    self._take_altitude(memory, altitudes[waiting], part.variance[waiting], age)
+                waiting += 1
+            self.count += 1
+            self._keep_after(memory, self.count)
 
+    def _keep_after(self, memory, k):
+        self.after_x[k] = memory[X]
+        self.after_P[k] = memory[P].reshape(N, N)
+        self.after_known[k] = memory[kernels.ATTITUDE] == 1.0
 
-def _replay(memory, part, count):
-    """Step over a part again and return its steps, one for each sample that gives output."""
-    ints = memory[kernels.M_INTS:kernels.M_ALTITUDES].view(np.int64)
-    steps = _Steps(count)
-    predicted = np.empty(kernels.M_OUT)
-    before = memory[:kernels.STATE_SIZE].copy()
-    waiting = n = 0
-    for k, stamp in enumerate(part.imu.stamp_ns.tolist()):
-        if part.actions[k] == ACTION_SKIP:
-            continue
-        if part.actions[k] == ACTION_RESET:
-            kernels.reset(memory)
-        predicted[:] = memory[:kernels.M_OUT]
-        if kernels.push_imu(memory, stamp, part.imu.gyro_b[k], part.imu.accel_b[k]) != kernels.FRESH:
-            continue
-        steps.set_before(n, before)
-        row = kernels.M_HISTORY + ints[kernels.I_HEAD] * kernels.H_SIZE
+    def _predict(self, memory, forget):
+        """Keep the last sample as it was used, and what the filter predicted with it."""
+        k = self.count
+        head = memory[kernels.M_INTS:kernels.M_ALTITUDES].view(np.int64)[kernels.I_HEAD]
+        row = kernels.M_HISTORY + head * kernels.H_SIZE
         dt, *sample, gyro_var, accel_var, force_known = memory[row:row + kernels.H_SIZE].tolist()
-        steps.dt[n], steps.samples[n] = dt, sample
+        self.dt[k], self.samples[k], self.keeps[k] = dt, sample, True
+        predicted = memory
         if dt > 0.0:
+            predicted = self._predicted
             predicted[kernels.SINCE_GRAVITY] = -np.inf  # so that nothing is updated
             kernels.imu_step(predicted, dt, *sample, gyro_var, accel_var, force_known == 1.0)
-            steps.set_predicted(n, predicted)
-            forgotten = steps.predicted_P[n, VD, ALT] == 0.0
-            steps.keeps[n, VD:ALT + 1] = not forgotten
+        self.predicted_x[k], self.predicted_P[k] = predicted[X], predicted[P].reshape(N, N)
+        if dt == 0.0:  # the attitude started anew
+            self.keeps[k] = not forget
+            self.keeps[k, :kernels.BG] = False
+        elif self.predicted_P[k, VD, ALT] == 0.0:  # the vertical channel did
+            self.keeps[k, VD] = self.keeps[k, ALT] = False
+
+    def _take_altitude(self, memory, z, variance, age):
+        """Apply an altitude; what it moves the height reference by is process noise of the step to it."""
+        k, covariance = self.count, memory[P].reshape(N, N)
+        expected = covariance[ALT, ALT] + (memory[kernels.P_ALT_DELAY] + age) * covariance[ALT, VD]
+        kernels.altitude_step(memory, z, variance, age)
+        if memory[kernels.ALT_COUNT] == 1.0:
+            self.keeps[k, ALT] = False
+            self.predicted_x[k, ALT] = z
+            self.predicted_P[k, ALT] = self.predicted_P[k, :, ALT] = 0.0
+            self.predicted_P[k, ALT, ALT] = covariance[ALT, ALT]
         else:
-            steps.set_predicted(n, memory)
-            steps.keeps[n] = part.actions[k] != ACTION_RESET
-            steps.keeps[n, :kernels.BG] = False
-        while waiting < len(part.altitude) and part.altitude.stamp_ns[waiting] <= stamp:
-            if np.isfinite(part.altitude.altitude[waiting]):
-                age = (stamp - part.altitude.stamp_ns[waiting]) * 1e-9
-                _take_altitude(memory, part.altitude.altitude[waiting], part.variance[waiting], age, steps, n)
-            waiting += 1
-        before[:] = memory[:kernels.STATE_SIZE]
-        n += 1
-    return steps
+            self.predicted_P[k, ALT, ALT] += max(memory[kernels.PH + ALT] - expected, 0.0)
 
 
-def _take_altitude(memory, z, variance, age, steps, n):
-    """Apply an altitude; what it moves the height reference by is process noise of the step before it."""
-    P = memory[kernels.P:kernels.P + N * N].reshape(N, N)
-    expected = P[ALT, ALT] + (memory[kernels.P_ALT_DELAY] + age) * P[ALT, VD]
-    kernels.altitude_step(memory, z, variance, age)
-    if memory[kernels.ALT_COUNT] == 1.0:
-        steps.keeps[n, ALT] = False
-        steps.predicted_P[n, ALT, :] = steps.predicted_P[n, :, ALT] = 0.0
-        steps.predicted_P[n, ALT, ALT] = P[ALT, ALT]
-        steps.predicted_x[n, ALT] = z
-    else:
-        steps.predicted_P[n, ALT, ALT] += max(memory[kernels.PH + ALT] - expected, 0.0)
+class _Smoothed:
+    """Smoothed state, which goes back part by part; at first the filter's last one."""
+
+    def __init__(self, memory):
+        self._x, self._P = memory[X].copy(), memory[P].reshape(N, N).copy()
+        self._known = memory[kernels.ATTITUDE] == 1.0
+        self._out_x, self._out_P = np.empty((PART, N)), np.empty((PART, N, N))
+        self._out_known = np.empty(PART, bool)
+
+    def go_back(self, steps, params, rows):
+        """Go back over a part and write what the rows have besides the attitude.
+
+        Returns
+        -------
+        covariance : (n, 3, 3)
+            Of the down direction.
+        starts : (n,) bool
+            Where the attitude does not follow from the sample before.
+        """
+        n = steps.count
+        x, covariance, known = self._out_x[:n], self._out_P[:n], self._out_known[:n]
+        self._known = smooth_back(
+            steps.after_x[:n], steps.after_P[:n], steps.after_known[:n], steps.predicted_x[:n],
+            steps.predicted_P[:n], steps.keeps[:n], steps.dt[:n], steps.samples[:n], params.local_gravity(),
+            params.earth_rate_down(), params.accel_bias_time, kernels.LOST_TRACE, self._x, self._P,
+            self._known, x, covariance, known)
+        _write_state(rows, x, np.diagonal(covariance, axis1=1, axis2=2), known)
+        return covariance[:, :3, :3], ~steps.keeps[:n, 0]
 
 
-def _smooth_part(steps, state, params, rows):
-    """Go back over a part from the smoothed state after it, and write the smoothed rows."""
-    x, P, known = np.empty((len(rows), N)), np.empty((len(rows), N, N)), np.empty(len(rows), bool)
-    state.known = smooth_back(
-        steps.before_x, steps.before_P, steps.before_known, steps.predicted_x, steps.predicted_P, steps.keeps,
-        steps.dt, steps.samples, params.local_gravity(), params.earth_rate_down(), params.accel_bias_time,
-        state.x, state.P, state.known, x, P, known)
-    _write(rows, x, P, known)
-
-
-def _write(rows, x, P, known):
-    """Replace the filter's rows by the smoothed states."""
-    for first, bias, at in ((kernels.OUT_GYRO, kernels.OUT_BG, BG), (kernels.OUT_ACCEL, kernels.OUT_BA, BA)):
-        rows[:, first:first + 3] += rows[:, bias:bias + 3] - x[:, at]
-        rows[:, bias:bias + 3] = x[:, at]
-    variances = np.diagonal(P, axis1=1, axis2=2)
-    rows[:, kernels.OUT_BG_VAR:kernels.OUT_BG_VAR + 3] = variances[:, BG]
-    rows[:, kernels.OUT_BA_VAR:kernels.OUT_BA_VAR + 3] = variances[:, BA]
-    rows[:, kernels.OUT_VALID] = known
+def _write_state(rows, x, variances, known):
+    """Replace the filter's rows by the smoothed states, but for the attitude's quaternion and covariance."""
+    for sample, bias, variance, states in ((kernels.OUT_GYRO, kernels.OUT_BG, kernels.OUT_BG_VAR, BG),
+                                           (kernels.OUT_ACCEL, kernels.OUT_BA, kernels.OUT_BA_VAR, BA)):
+        rows[:, sample:sample + 3] += rows[:, bias:bias + 3] - x[:, states]
+        rows[:, bias:bias + 3] = x[:, states]
+        rows[:, variance:variance + 3] = variances[:, states]
     rows[:, kernels.OUT_VD], rows[:, kernels.OUT_ALT] = x[:, VD], x[:, ALT]
     rows[:, kernels.OUT_VD_VAR], rows[:, kernels.OUT_ALT_VAR] = variances[:, VD], variances[:, ALT]
-    norm = np.linalg.norm(x[:, DOWN], axis=1)
+    rows[:, kernels.OUT_VALID] = known
+    norm = np.linalg.norm(x[:, :3], axis=1)
     rows[:, kernels.OUT_NORM] = norm
-    down = x[:, DOWN] / np.maximum(norm, 1e-9)[:, None]
-    rows[:, kernels.OUT_DOWN:kernels.OUT_DOWN + 3] = down
-    north = np.where(np.abs(down[:, :1]) < .99, np.cross(down, [-1.0, 0, 0]), np.cross(down, [0, 0, 1.0]))
-    north /= np.maximum(np.linalg.norm(north, axis=1), 1e-9)[:, None]
+    rows[known, kernels.OUT_DOWN:kernels.OUT_DOWN + 3] = x[known, :3] / norm[known, None]
+
+
+def _write_attitude(estimates, covariance, starts, params):
+    """Write quaternion, tilt covariance and yaw variance where there is an attitude."""
+    known, down = estimates.valid, estimates.down_b
+    north, yaw_variance = np.zeros_like(down), np.zeros(len(down))
+    dt = np.diff(estimates.stamp_ns, prepend=estimates.stamp_ns[:1]) * 1e-9
+    gyro_b = estimates.gyro_b - params.earth_rate_down() * down
+    carry_heading(down, gyro_b, estimates.gyro_bias_variance, known, starts, dt, params.gyro_noise_density,
+                  north, yaw_variance)
+    rows, down, north = estimates.rows, down[known], north[known]
     east = np.cross(down, north)
-    rows[:, kernels.OUT_Q:kernels.OUT_Q + 4] = quaternion_from_dcm(np.stack([north, east, down], 1))
-    turn = np.stack([east, -north], 1)
-    cov = turn @ P[:, DOWN, DOWN] @ np.swapaxes(turn, 1, 2)
-    rows[:, kernels.OUT_TILT_COV:kernels.OUT_TILT_COV + 3] = cov[:, [0, 0, 1], [0, 1, 1]]
+    rows[known, kernels.OUT_Q:kernels.OUT_Q + 4] = quaternion_from_dcm(np.stack([north, east, down], axis=1))
+    axes = np.stack([east, -north], axis=1)  # a turn about north moves down along -east
+    tilt = axes @ covariance[known] @ np.swapaxes(axes, 1, 2)
+    rows[known, kernels.OUT_TILT_COV:kernels.OUT_TILT_COV + 3] = tilt[:, [0, 0, 1], [0, 1, 1]]
+    rows[known, kernels.OUT_YAW_VAR] = yaw_variance[known]
