@@ -36,7 +36,7 @@ from alignment.edge import (
     table_angle,
     yaw_of,
 )
-from alignment.session import TableSession
+from alignment.session import TableSession, warm_up
 from nav_ros.diagnostics import Level, Report, StreamMeter, diagnostic_array
 from nav_ros.frames import swap_flu_frd
 from nav_ros.messages import ACCEL, GYRO, IMU, VECTOR, MalformedMessageError, StampedEncoder, decode, decode_joints
@@ -56,6 +56,7 @@ class AlignmentNode(Node):
     def __init__(self):
         super().__init__("alignment_node")
         self._params = declare_parameters(self, AlignmentNodeParams)
+        warm_up(self._params)
         self._session = TableSession(self._params)
         self._fixed_latitude = not math.isnan(self._params.latitude)
         self._counts, self._last_fault = Counter(), {}

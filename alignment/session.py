@@ -10,10 +10,13 @@ import math
 import numpy as np
 
 from alignment.collector import DwellCollector
+from alignment.dwells import Dwell
 from alignment.errors import NotEnoughDataError
 from alignment.north import explain_scale
 from alignment.results import SINGULAR_SENSITIVITY, UNBELIEVABLE, Quality
+from alignment.sequences import FOUR_POSITIONS
 from alignment.station import TableAlignment, align_turning
+from alignment.turntable import Turntable, exact_readings
 
 _REFRESH = 5.0  # s of turning, or this share of it, after which it is solved anew
 _REFRESH_SHARE = 0.1
@@ -271,6 +274,20 @@ class TableSession:
         if method == "joint":
             north, time_left = found.north, found.time_left
         return dataclasses.replace(found, level=levels[levelling], north=north, time_left=time_left), ""
+
+
+def warm_up(params):
+    """Solve a made-up alignment once, so that no later one waits for a compiler.
+
+    Parameters
+    ----------
+    params : alignment.params.AlignmentParams
+    """
+    station = TableAlignment(dataclasses.replace(params, latitude=0.5))
+    readings = exact_readings(Turntable(latitude=0.5, heading=1.0), np.array(FOUR_POSITIONS))
+    for k, angle in enumerate(FOUR_POSITIONS):
+        station.add(Dwell(angle, float(k), k + 1.0, readings.gyro_b[k], readings.accel_b[k]))
+    station.result()
 
 
 _REASONS = {

@@ -1,0 +1,156 @@
+"""A whole alignment from simulated streams: heading, refusals with their reasons, methods, turning."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from alignment.params import AlignmentParams
+from alignment.sequences import continuous_rotation
+from alignment.session import TableSession, warm_up
+from alignment.turntable import TriadErrors, Turntable, simulate_readings
+from inertial.earth import normal_gravity
+from inertial.table_scenarios import HEADING, LATITUDE, PITCH, ROLL, TABLE_SCENARIOS, simulate_table
+
+IMU_RATE = 50.0
+SIGMAS = 4.0  # outside once in 16 000
+GRADE = TABLE_SCENARIOS["turntable_navigation"]
+PARAMS = AlignmentParams(
+    latitude=LATITUDE, gyro_noise_density=GRADE.errors.gyro_noise_density,
+    gyro_bias_instability=GRADE.gyro_bias_instability, accel_noise_density=GRADE.errors.accel_noise_density,
+    accel_bias_std=GRADE.errors.accel_bias_std, accel_scale_std=5e-5, scale_std=2e-5, skew_std=3e-5,
+    table_zero_std=1e-5)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return simulate_table("turntable_navigation", imu_rate=IMU_RATE, seed=5)
+
+
+def run(recording, params=PARAMS, gyro=lambda gyro_b: gyro_b, accel=lambda accel_b: accel_b, **options):
+    session = TableSession(params, **options)
+    joints = dict(zip(recording.joint.stamp_ns.tolist(), recording.joint.angle.tolist(), strict=True))
+    imu = recording.imu
+    for stamp_ns, gyro_b, accel_b in zip(imu.stamp_ns.tolist(), gyro(imu.gyro_b), accel(imu.accel_b),
+                                         strict=True):
+        if stamp_ns in joints:
+            session.add_joint(stamp_ns, joints[stamp_ns])
+        session.add_imu(stamp_ns, gyro_b, accel_b)
+    return session
+
+
+def assert_aligned(session, heading=HEADING):
+    assert session.refusal == ""
+    level, north = session.result.level, session.result.north
+    assert abs(math.remainder(float(north.heading) - heading, 2 * math.pi)) < SIGMAS * float(north.std)
+    for found, truth, variance in zip((level.roll, level.pitch), (ROLL, PITCH), np.diag(level.covariance),
+                                      strict=True):
+        assert abs(found - truth) < SIGMAS * math.sqrt(variance)
+
+
+@pytest.mark.parametrize("follow", [True, False])
+def test_the_heading_of_a_simulated_table(recording, follow):
+    session = run(recording, follow=follow)
+    assert_aligned(session)
+    assert len(session.dwells) == 8 and not session.rejected
+    assert session.phase == "aligned"
+    assert all(good for good, _ in session.take_remarks()) and session.take_remarks() == []
+    assert math.degrees(session.result.north.std) < 0.1
+
+
+def test_phases_as_the_table_goes_on(recording):
+    session, phases = TableSession(PARAMS), []
+    joint = zip(recording.joint.stamp_ns.tolist(), recording.joint.angle.tolist(), strict=True)
+    next_joint = next(joint)
+    for stamp_ns, gyro_b, accel_b in zip(recording.imu.stamp_ns.tolist(), recording.imu.gyro_b,
+                                         recording.imu.accel_b, strict=True):
+        while next_joint and next_joint[0] <= stamp_ns:
+            session.add_joint(*next_joint)
+            next_joint = next(joint, None)
+        session.add_imu(stamp_ns, gyro_b, accel_b)
+        if not phases or phases[-1] != session.phase:
+            phases.append(session.phase)
+    assert phases == ["waiting", "coarse", "positions", "aligned"]
+
+
+@pytest.mark.parametrize("latitude, reason", [(math.nan, "latitude is not known"),
+                                              (math.pi / 2, "too near a pole"), (-math.pi / 2, "too near a pole")])
+def test_without_a_usable_latitude_there_is_the_level_only(recording, latitude, reason):
+    session = run(recording, dataclasses.replace(PARAMS, latitude=latitude, gravity=normal_gravity(LATITUDE)))
+    assert reason in session.refusal and session.result.north is None and session.phase == "coarse"
+    assert abs(session.result.level.roll - ROLL) < SIGMAS * math.sqrt(session.result.level.covariance[0, 0])
+    session.params = PARAMS
+    assert_aligned(session)
+
+
+def test_sensors_in_other_units_are_named(recording):
+    assert "in deg/s, not rad/s?" in run(recording, gyro=np.degrees).refusal
+    assert "in g, not m/s^2?" in run(recording, accel=lambda accel_b: accel_b / 9.80665).refusal
+
+
+def test_a_table_that_is_not_still_is_rejected_with_the_reason(recording):
+    def rocking(accel_b):
+        return accel_b + 0.01 * np.sin(0.05 * np.arange(len(accel_b)) / IMU_RATE * 2 * np.pi)[:, None]
+    session = run(recording, accel=rocking)
+    assert session.rejected and "accelerometer changed by" in session.rejected[0].rejection
+    texts = [text for good, text in session.take_remarks() if not good]
+    assert "rejected: not still" in texts[0]
+
+
+def test_angles_that_are_all_the_same_are_refused_with_the_condition_number(recording):
+    still = dataclasses.replace(recording, joint=dataclasses.replace(
+        recording.joint, angle=np.zeros(len(recording.joint))))
+    count = round(16.0 * IMU_RATE)
+    imu = dataclasses.replace(recording.imu, gyro_b=np.tile(recording.imu.gyro_b[:count], (10, 1))[:7400],
+                              accel_b=np.tile(recording.imu.accel_b[:count], (10, 1))[:7400])
+    session = run(dataclasses.replace(still, imu=imu), follow=False)
+    assert len(session.dwells) > 3 and "condition number" in session.refusal
+
+
+def test_other_methods_and_what_they_lack(recording):
+    chosen = run(recording, dataclasses.replace(PARAMS, method="azimuth_4", levelling="levelling_1"))
+    assert_aligned(chosen)
+    joint = run(recording)
+    levels, headings = joint.compare()
+    assert float(chosen.result.north.heading) == pytest.approx(float(headings["azimuth_4"].heading), abs=1e-5)
+    assert set(levels) == {"joint", *(f"levelling_{k}" for k in range(1, 6))}
+    assert set(headings) == {"joint", "azimuth_1a", "azimuth_1b", "azimuth_4", "azimuth_5", "azimuth_6"}
+    early = dataclasses.replace(recording, imu=dataclasses.replace(
+        recording.imu, stamp_ns=recording.imu.stamp_ns[:2700], gyro_b=recording.imu.gyro_b[:2700],
+        accel_b=recording.imu.accel_b[:2700]))
+    session = run(early, dataclasses.replace(PARAMS, method="azimuth_1b"))
+    assert len(session.dwells) == 3 and "azimuth_1b lacks a position" in session.refusal
+
+
+def test_stop_start_and_reset(recording):
+    session = run(recording)
+    session.stop()
+    assert session.phase == "stopped"
+    before = len(session.dwells)
+    assert not session.add_imu(1, np.zeros(3), np.zeros(3)) and len(session.dwells) == before
+    session.reset()
+    session.start()
+    assert session.phase == "waiting" and session.wanted == 0.0 and not session.dwells
+
+
+def test_a_table_that_turns_both_ways_is_recognised():
+    table = Turntable(ROLL, PITCH, HEADING, LATITUDE, float(normal_gravity(LATITUDE)))
+    schedule = continuous_rotation(math.radians(20.0), 120.0, 0.02)
+    readings = simulate_readings(table, schedule, TriadErrors(noise_density=PARAMS.gyro_noise_density),
+                                 TriadErrors(noise_density=PARAMS.accel_noise_density), np.random.default_rng(1))
+    session = TableSession(PARAMS)
+    # The angle is known when each sample ends, the reading is the interval's mean.
+    at_end = schedule.angle + 0.5 * schedule.rate * schedule.duration
+    for time, angle, gyro_b, accel_b in zip(schedule.end, at_end, readings.gyro_b, readings.accel_b, strict=True):
+        stamp_ns = 10**18 + round(time * 1e9)
+        session.add_joint(stamp_ns, angle)
+        session.add_imu(stamp_ns, gyro_b, accel_b)
+    session.finish()
+    assert session.turning and not session.dwells
+    assert session.phase in ("rotation", "aligned")
+    assert_aligned(session)
+
+
+def test_warm_up_needs_no_latitude():
+    warm_up(dataclasses.replace(PARAMS, latitude=math.nan))
