@@ -28,7 +28,7 @@ from sensor_msgs.msg import FluidPressure, Imu
 from std_srvs.srv import SetBool, Trigger
 
 from attitude_estimator.edge import OUTPUT_TYPES, AttitudeNodeParams, OutputMessages
-from attitude_estimator.estimator import AttitudeEstimator
+from attitude_estimator.rivals import make_estimator
 from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
 from nav_ros.diagnostics import Level, Report, StreamMeter, diagnostic_array
 from nav_ros.frames import swap_flu_frd
@@ -104,12 +104,12 @@ class AttitudeNode(Node):
         """Make the estimator and run every kernel once, so that no message waits for a compiler."""
         began = time.monotonic()
         self.get_logger().info("preparing the kernels (the first start compiles them, about a minute)")
-        AttitudeEstimator(self._params).warm_up()
+        make_estimator(self._params).warm_up()
         TimeGate(self._params).check(1)
         took = time.monotonic() - began
         if took > SLOW_START:
             self.get_logger().info(f"kernels ready after {took:.1f} s; later starts reuse them")
-        return AttitudeEstimator(self._params)
+        return make_estimator(self._params)
 
     def _tell_unknown_parameters(self):
         """Warn of parameters that were given but are nobody's; rclpy drops them without a word."""
