@@ -11,13 +11,14 @@ from importlib.metadata import entry_points, metadata
 
 import pytest
 
+from alignment.edge import AlignmentNodeParams
 from attitude_estimator.edge import AttitudeNodeParams
 from nav_ros import resources
 from nav_ros.bags import read_recording
 from nav_ros.parameters import load_parameter_file, parameter_names, params_from_values
 
 PACKAGE = "attitude_alignment"
-NODES = ("attitude_node", "replay_node")  # ROS programs have no --help
+NODES = ("attitude_node", "alignment_node", "replay_node")  # ROS programs have no --help
 BAGS_LIMIT = 10e6  # bytes, so that a clone stays small
 HELP_TIMEOUT = 60.0  # s, generous: only a program that hangs is late
 # Not to be published: where a developer works, and what is not done.
@@ -74,7 +75,8 @@ def test_changelog_begins_with_this_version(repository, manifest):
 
 def test_manifest_names_every_ros_package_that_is_imported(repository, manifest):
     declared = {element.text for element in manifest if element.tag.endswith("depend")}
-    sources = [path.read_text(encoding="utf-8") for folder in ("attitude_estimator", "nav_ros", "studies")
+    folders = ("attitude_estimator", "alignment", "nav_ros", "studies")
+    sources = [path.read_text(encoding="utf-8") for folder in folders
                for path in (repository / folder).glob("*.py")]
     pattern = re.compile(r"^\s*(?:from|import) (\w+_msgs|\w+_srvs|rclpy|tf2_ros)\b", re.M)
     imported = {name for source in sources for name in pattern.findall(source)}
@@ -84,46 +86,53 @@ def test_manifest_names_every_ros_package_that_is_imported(repository, manifest)
 
 @pytest.mark.parametrize("name", own_executables())
 def test_executable_answers(name, tmp_path):
-    arguments = ["--ros-args", "-p", "bag:=/there/is/no/bag", "-p", "estimator:=none"] if name in NODES \
+    arguments = ["--ros-args", "-p", "bag:=/there/is/no/bag", "-p", "estimator:=none",
+                 "-p", "method:=none"] if name in NODES \
         else ["--help"]
     done = subprocess.run([resources.executable(name), *arguments], capture_output=True, text=True,
                           timeout=HELP_TIMEOUT, stdin=subprocess.DEVNULL, cwd=tmp_path)
     said = done.stdout + done.stderr
     assert "Traceback" not in said
     if name in NODES:  # a parameter that cannot be: one line, and the end
-        assert done.returncode != 0 and ("no/bag" in said or "estimator" in said)
+        assert done.returncode != 0 and any(
+            text in said for text in ("no/bag", "estimator", "method"))
     else:
         assert done.returncode == 0 and f"usage: {name}" in said
 
 
 def test_there_are_executables():
-    assert {"attitude_node", "replay_node", "estimate_bag", "simulate_bag", "score_bag",
-            "attitude_demo"} <= set(own_executables())
+    assert {"attitude_node", "alignment_node", "replay_node", "estimate_bag", "align_bag", "simulate_bag",
+            "score_bag", "attitude_demo"} <= set(own_executables())
 
 
 def test_bundled_bags(repository):
     names = sorted(path.name for path in (resources.share_folder() / "bags").iterdir())
-    assert names == ["aerobatics", "hover", "turns"]
+    assert names == ["aerobatics", "hover", "turns", "turntable"]
     size = sum(path.stat().st_size for path in (repository / "bags").rglob("*") if path.is_file())
     assert 0 < size < BAGS_LIMIT
     for name in names:
         recording = read_recording(resources.bundled_bag(name))
-        assert len(recording.imu) and len(recording.altitude) and len(recording.truth)
+        assert len(recording.imu) and len(recording.truth)
+        assert (recording.altitude is None) == (name == "turntable")
 
 
-def test_make_bags_gives_the_same_bytes(repository, tmp_path):
+@pytest.mark.parametrize("name", ["hover", "turntable"])
+def test_make_bags_gives_the_same_bytes(repository, tmp_path, name):
     path = f"{resources.executable('simulate_bag').parent}{os.pathsep}{os.environ['PATH']}"
-    subprocess.run([repository / "scripts" / "make_bags", tmp_path, "hover"], check=True, capture_output=True,
+    subprocess.run([repository / "scripts" / "make_bags", tmp_path, name], check=True, capture_output=True,
                    env=os.environ | {"PATH": path})
-    for bundled in (repository / "bags" / "hover").iterdir():
-        assert (tmp_path / "hover" / bundled.name).read_bytes() == bundled.read_bytes(), bundled.name
+    for bundled in (repository / "bags" / name).iterdir():
+        assert (tmp_path / name / bundled.name).read_bytes() == bundled.read_bytes(), bundled.name
 
 
-def test_parameter_file_has_the_defaults():
-    file = resources.bundled_config("attitude.yaml")
-    values = load_parameter_file(file, "attitude_node", parameter_names(AttitudeNodeParams))
-    assert "gyro_bias_std" in values
-    assert params_from_values(AttitudeNodeParams, values) == params_from_values(AttitudeNodeParams, {})
+@pytest.mark.parametrize("name, node, kind", [("attitude.yaml", "attitude_node", AttitudeNodeParams),
+                                              ("alignment.yaml", "alignment_node", AlignmentNodeParams)])
+def test_parameter_file_has_the_defaults(name, node, kind):
+    values = load_parameter_file(resources.bundled_config(name), node, parameter_names(kind))
+    assert "accel_bias_std" in values
+    written = vars(params_from_values(kind, values))
+    for parameter, default in vars(params_from_values(kind, {})).items():
+        assert written[parameter] == pytest.approx(default, nan_ok=True), parameter
 
 
 def test_unknown_resources_are_named():

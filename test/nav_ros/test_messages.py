@@ -192,3 +192,48 @@ def test_encoders_refuse_what_a_message_cannot_hold():
         StampedEncoder(IMU, "a\0b")
     with pytest.raises(ValueError, match="child_frame_id"):
         StampedEncoder(IMU, "imu", "child")
+
+
+JOINT_SETS = [[], ["x"], ["table_joint"], ["ab", "table_joint", "机"]]
+
+
+def rosbags_joints(frame, names, velocities=()):
+    kinds = STORE.types
+    stamp = kinds["builtin_interfaces/msg/Time"](*divmod(STAMP_NS, 10**9))
+    header = kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
+    message = kinds[messages.JOINTS](header=header, name=names, position=0.5 + np.arange(len(names)),
+                                     velocity=np.array(velocities, float), effort=np.zeros(0))
+    return bytes(STORE.serialize_cdr(message, messages.JOINTS))
+
+
+@pytest.mark.parametrize("names", JOINT_SETS)
+@pytest.mark.parametrize("frame", FRAMES)
+def test_joints_are_encoded_and_decoded_as_by_rosbags(frame, names):
+    positions = {name: 0.5 + k for k, name in enumerate(names)}
+    raw = messages.encode_joints(STAMP_NS, frame, positions)
+    assert raw == rosbags_joints(frame, names)
+    assert messages.decode_joints(raw) == (STAMP_NS, positions)
+    assert messages.decode_joints(rosbags_joints(frame, names, [0.1] * len(names))) == (STAMP_NS, positions)
+
+
+def test_joints_of_any_bytes_are_decoded_or_refused():
+    raw = rosbags_joints("frame", ["ab", "table_joint"])
+    rng = np.random.default_rng(0)
+    for size in range(len(raw) - 8 - 16):
+        with pytest.raises(MalformedMessageError):
+            messages.decode_joints(raw[:size])
+    for _ in range(2000):
+        spoilt = bytearray(raw)
+        spoilt[rng.integers(len(raw))] = rng.integers(256)
+        try:
+            messages.decode_joints(bytes(spoilt))
+        except MalformedMessageError:
+            continue
+
+
+def test_joints_without_positions_have_none():
+    kinds = STORE.types
+    header = kinds["std_msgs/msg/Header"](stamp=kinds["builtin_interfaces/msg/Time"](1, 0), frame_id="")
+    empty = np.zeros(0)
+    message = kinds[messages.JOINTS](header=header, name=["a"], position=empty, velocity=empty, effort=empty)
+    assert messages.decode_joints(bytes(STORE.serialize_cdr(message, messages.JOINTS))) == (10**9, {})

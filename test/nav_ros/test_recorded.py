@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from inertial.recording import AltitudeSeries, AttitudeSeries, ImuSeries, Recording
+from inertial.recording import AltitudeSeries, AttitudeSeries, ImuSeries, JointSeries, Recording
 from nav_ros.bags import BagWriter, read_recording
+from nav_ros.messages import JOINTS, decode_joints
 from nav_ros.recorded import recorded_messages
 
 T0 = 1_700_000_000_000_000_000
@@ -55,3 +56,13 @@ def test_receive_times_never_decrease():
 def test_a_recording_of_the_imu_alone_has_one_topic():
     types, messages = recorded_messages(Recording("run", recording().imu))
     assert list(types) == ["/imu/data_raw"] and len(messages) == 100
+
+
+def test_a_table_angle_is_written_as_a_joint_that_turns_the_other_way():
+    stamps = T0 + 50_000_000 * np.arange(3)
+    table = Recording("run", recording().imu, joint=JointSeries(stamps, np.array([0.0, 0.5, 1.0])))
+    types, messages = recorded_messages(table)
+    assert types["/joint_states"] == JOINTS
+    found = [decode_joints(message.raw) for message in messages if message.topic == "/joint_states"]
+    assert found == [(stamp, {"table_joint": -angle}) for stamp, angle in zip(stamps.tolist(), (0.0, 0.5, 1.0),
+                                                                              strict=True)]
