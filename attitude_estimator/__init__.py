@@ -3,7 +3,6 @@
 =================  ==================================================================================
 ``params``         :class:`~attitude_estimator.params.AttitudeParams`, in SI, described and ranged
 ``estimator``      :class:`~attitude_estimator.estimator.AttitudeEstimator`: samples in, attitude out
-``bound``          the Cramer-Rao bound of tilt along a known trajectory
 ``edge``           what node and offline tool share at the ROS edge
 ``node``, ``cli``  ``attitude_node`` and ``estimate_bag``
 =================  ==================================================================================

@@ -26,8 +26,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
+from inertial.bound import SensorNoise, tilt_bound
+from inertial.imu_errors import find_profile
 from inertial.rotation import dcm_from_quaternion, euler_from_dcm
-from inertial.scoring import score_attitude
+from inertial.scoring import interpolate_down, score_attitude
 from nav_ros.bags import TOPICS, read_recording
 from nav_ros.frames import q_nb_from_orientation, swap_enu_ned_covariance
 from nav_ros.messages import IMU, ORIENTATION, ORIENTATION_COVARIANCE, decode_batch
@@ -42,6 +44,7 @@ TABLE, TABLE_RATE = "/table", 4.0  # namespace, times real time
 TABLE_LATITUDE = math.radians(35.0)
 HEADING_SIGMA_DEG = 0.15  # after the two and a half minutes of the bundled turntable
 HEADING_SIGMAS = 3.0
+SETTLE_NS = 5_000_000_000  # left out of every score
 QUIET = 1.0  # s without a message after the end of the replay
 FAREWELL = 5.0  # s for a process to end after SIGINT
 # Every event handler and service would be looked at for each message.
@@ -260,6 +263,16 @@ def demo_figures(score, sent, received, cpu_per_message, latency):
     ]
 
 
+def bound_figure(recording):
+    """Return the row with the Cramer-Rao bound of a simulated flight with the consumer profile's sensors."""
+    down_b, spanned = interpolate_down(recording.truth, recording.imu.stamp_ns)
+    settled = recording.imu.stamp_ns >= recording.imu.stamp_ns[0] + SETTLE_NS
+    bound = tilt_bound(recording.imu, down_b, recording.altitude.stamp_ns,
+                       SensorNoise.of(find_profile("consumer")))
+    return Figure("Cramer-Rao bound", f"{math.degrees(bound.tilt_rms(settled & spanned)):.2f} deg",
+                  "tilt RMS possible with this flight's IMU and altimeter alone, noise and biases as simulated")
+
+
 def heading_figures(message, truth):
     """Return the rows of the table for the last heading of ``alignment_node``, None if there was none.
 
@@ -298,6 +311,8 @@ def run_demo(options, progress):
     progress.tell("scoring")
     run, score = attitude_run(listener.attitudes, recording.truth)
     figures = demo_figures(score, sent, len(listener.attitudes), cpu_per_message, listener.latency())
+    if recording.name == bundled_bag("turns").name:
+        figures.insert(3, bound_figure(recording))
     figures += heading_figures(listener.heading, read_recording(bundled_bag("turntable")).truth)
     seconds = (recording.imu.stamp_ns[-1] - recording.imu.stamp_ns[0]) * 1e-9
     title = f"{recording.name}: {seconds:.0f} s at {sent / seconds:.0f} Hz, {options.rate:g} times real time"

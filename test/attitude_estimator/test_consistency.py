@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import chi2
 
 from attitude_estimator import _kernels as kernels
-from attitude_estimator.bound import SensorNoise, tilt_bound
 from attitude_estimator.estimator import AttitudeEstimator
 from attitude_estimator.params import AttitudeParams
+from inertial.bound import SensorNoise, tilt_bound
 from inertial.imu_errors import PROFILES
 from inertial.rotation import down_from_quaternion
 from inertial.scenarios import SCENARIOS

@@ -6,7 +6,7 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from attitude_estimator.bound import SensorNoise, tilt_bound
+from inertial.bound import SensorNoise, tilt_bound
 from inertial.imu_errors import PROFILES
 from inertial.recording import ImuSeries
 from inertial.rotation import down_from_quaternion, down_from_roll_pitch, zoh_integrals
