@@ -1,9 +1,9 @@
 """Streams of IMU samples and joint angles to dwells, and to the samples of a table that keeps turning.
 
-A stop begins where the table's angle stays within ``largest_angle_spread``; the first ``settle_time`` of it is
-dropped, then every ``dwell_time`` makes a dwell. A table that has gone round once without a stop is turning
-steadily, and its samples are kept instead. Stamps are those of the messages: which stream comes first does not
-matter.
+A stop begins where the table's angle stays within ``largest_angle_spread``; the first ``settle_time`` of it
+is dropped, then every ``dwell_time`` makes a dwell. A table that has gone round once without a stop is turning
+steadily, and its samples are kept instead. Stamps are those of the messages: which stream comes first does
+not matter.
 """
 
 import dataclasses
@@ -31,8 +31,8 @@ class DwellCollector:
     ----------
     params : alignment.params.AlignmentParams
     wanted : float or None
-        Table angle wanted next, rad. A table that stands at another one, where it has had its dwell, is waited
-        for; with None every dwell counts.
+        Table angle wanted next, rad. A table that stands at another one, where it has had its dwell, is
+        waited for; with None every dwell counts.
     angle : float
         Last table angle, rad, NaN before the first.
     gaps, lost : int

@@ -43,8 +43,8 @@ class AlignmentNodeParams(AlignmentParams):
         lacking = {"any", "maximum"} & set(METHODS[self.method].positions if self.method in METHODS else ())
         if lacking:
             what = "a gyro without bias" if "any" in lacking else "the largest rate over a turn"
-            raise ValueError(f"method = {self.method!r}: needs {what}, which dwells do not give; choose joint, "
-                             "azimuth_1a, azimuth_1b, azimuth_4, azimuth_5 or azimuth_6")
+            raise ValueError(f"method = {self.method!r}: needs {what}, which dwells do not give; choose "
+                             "joint, azimuth_1a, azimuth_1b, azimuth_4, azimuth_5 or azimuth_6")
 
 
 class JointError(ValueError):
@@ -92,7 +92,8 @@ def level_values(level):
 def attitude_values(result, believable):
     """Return the doubles of a sensor_msgs/Imu with the table's orientation and its covariance.
 
-    The covariance is that of a small rotation about east, north and up; level and heading count as independent.
+    The covariance is that of a small rotation about east, north and up; level and heading count as
+    independent.
 
     Parameters
     ----------
@@ -107,7 +108,8 @@ def attitude_values(result, believable):
     if believable:
         level, north = result.level, result.north
         roll, pitch, heading = float(level.roll), float(level.pitch), float(north.heading)
-        values[ORIENTATION] = orientation_from_q_nb(quaternion_from_dcm(dcm_nb_from_euler(roll, pitch, heading)))
+        q_nb_wxyz = quaternion_from_dcm(dcm_nb_from_euler(roll, pitch, heading))
+        values[ORIENTATION] = orientation_from_q_nb(q_nb_wxyz)
         covariance = np.zeros((3, 3))
         covariance[:2, :2], covariance[2, 2] = level.covariance, north.variance
         turns_n = _rotation_of_angles(pitch, heading)

@@ -1,10 +1,11 @@
 """alignment_node: an IMU on a turntable and the table's joint in, level and true heading out.
 
-Topics, services and parameters: README; what it does: docs/alignment.md. The node drives nothing: it says which
-angle it wants, in the status, on ``table/command`` and by ``~/next_position``, and takes every dwell by the
-joint's own stamps.
+Topics, services and parameters: README; what it does: docs/alignment.md. The node drives nothing: it says
+which angle it wants, in the status, on ``table/command`` and by ``~/next_position``, and takes every dwell by
+the joint's own stamps.
 """
 
+import difflib
 import math
 import sys
 from collections import Counter
@@ -39,13 +40,23 @@ from alignment.edge import (
 from alignment.session import TableSession, warm_up
 from nav_ros.diagnostics import Level, Report, StreamMeter, diagnostic_array
 from nav_ros.frames import swap_flu_frd
-from nav_ros.messages import ACCEL, GYRO, IMU, VECTOR, MalformedMessageError, StampedEncoder, decode, decode_joints
-from nav_ros.parameters import declare_parameters, on_change
+from nav_ros.messages import (
+    ACCEL,
+    GYRO,
+    IMU,
+    VECTOR,
+    MalformedMessageError,
+    StampedEncoder,
+    decode,
+    decode_joints,
+)
+from nav_ros.parameters import declare_parameters, on_change, parameter_names
+from nav_ros.sensor_loop import SensorGroup, spin_sensors
 
-SENSOR_QOS = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+SENSOR_QOS = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST,
+                        reliability=ReliabilityPolicy.BEST_EFFORT)
 OUTPUT_QOS = QoSProfile(depth=100, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 REPORT_PERIOD = 1.0  # s
-BACKLOG = 50  # messages of one topic served in one turn, so that the other keeps up
 SILENCE = 1.0  # s without a message after which a sensor has stopped
 JUMP_BACK_NS = 500_000_000  # stamps that go back further begin a new alignment
 
@@ -75,22 +86,22 @@ class AlignmentNode(Node):
         for name in ("start", "stop", "reset", "next_position"):
             self.create_service(Trigger, f"~/{name}", getattr(self, f"_on_{name}"))
         self.create_timer(REPORT_PERIOD, self._report)
-        self._subscribe(JointState, "joint_states", self._take_joint)
-        self._subscribe(Imu, "imu/data_raw", self._take_imu)
+        self._sensor_group = SensorGroup()
+        self.sensors = [self._subscribe(JointState, "joint_states", self._take_joint),
+                        self._subscribe(Imu, "imu/data_raw", self._take_imu)]
         self.create_subscription(NavSatFix, "fix", self._on_fix, SENSOR_QOS)
+        self._tell_unknown_parameters()
         self.get_logger().info("ready")
 
-    def _subscribe(self, kind, topic, take):
-        def serve(raw):
-            """Serve one message and those that wait behind it: waking up costs rclpy more than they do."""
-            guarded(raw)
-            with subscription.handle:
-                for _ in range(BACKLOG):
-                    waiting = subscription.handle.take_message(kind, True)
-                    if waiting is None:
-                        return
-                    guarded(waiting[0])
+    def _tell_unknown_parameters(self):
+        """Warn of parameters that were given but are nobody's; rclpy drops them without a word."""
+        for name in self._parameter_overrides:
+            if not self.has_parameter(name):
+                (near,) = difflib.get_close_matches(name, parameter_names(AlignmentNodeParams), 1, 0.0)
+                self.get_logger().warning(f"there is no parameter {name}; did you mean {near}?")
 
+    def _subscribe(self, kind, topic, take):
+        """Return a subscription of serialized messages and what serves one of them."""
         def guarded(raw):
             """Outermost guard: whatever is wrong with one message, the next one is served."""
             try:
@@ -109,8 +120,10 @@ class AlignmentNode(Node):
 
         events = SubscriptionEventCallbacks(use_default_callbacks=False, incompatible_qos=incompatible)
         subscription = self.create_subscription(
-            kind, topic, serve, SENSOR_QOS, raw=True, event_callbacks=events,
+            kind, topic, guarded, SENSOR_QOS, raw=True, event_callbacks=events,
+            callback_group=self._sensor_group,
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        return subscription, guarded
 
     def _now_ns(self):
         return self.get_clock().now().nanoseconds
@@ -141,7 +154,8 @@ class AlignmentNode(Node):
             self._fault("stamp_not_later", f"{topic}: a stamp is not later than the one before", Level.WARN)
             return False
         if stamp_ns < last_ns:
-            self.get_logger().warning("stamps went back (a bag's loop, a clock set?): the alignment starts anew")
+            self.get_logger().warning(
+                "stamps went back (a bag's loop, a clock set?): the alignment starts anew")
             self._counts["stamp_jump_back"] += 1
             self._session.reset()
             self._stamp_ns = dict.fromkeys(self._stamp_ns, 0)
@@ -181,7 +195,8 @@ class AlignmentNode(Node):
         values = attitude_values(result, believable)
         self._attitude.publish(self._encoders["alignment/attitude"].encode(stamp_ns, values))
         if result is not None and math.isfinite(result.level.roll):
-            self._level.publish(self._encoders["alignment/level"].encode(stamp_ns, level_values(result.level)))
+            values = level_values(result.level)
+            self._level.publish(self._encoders["alignment/level"].encode(stamp_ns, values))
         if believable:
             self._heading.publish(self._heading_message(stamp_ns, result))
 
@@ -190,7 +205,8 @@ class AlignmentNode(Node):
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
         message.header.frame_id = self._params.world_frame
         yaw = yaw_of(result)
-        message.pose.pose.orientation.z, message.pose.pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+        orientation = message.pose.pose.orientation
+        orientation.z, orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
         variances = [UNKNOWN_VARIANCE] * 5 + [float(result.north.variance)]
         message.pose.covariance = np.diag(variances).ravel()
         return message
@@ -277,8 +293,8 @@ class AlignmentNode(Node):
         self._report_streams(report, now_ns)
         if session.refusal:
             result = session.result
-            bad_input = result is not None and bool(result.level.flags) or (
-                result is not None and result.north is not None and not result.believable)
+            bad_input = result is not None and (
+                bool(result.level.flags) or result.north is not None and not result.believable)
             report.fault(Level.ERROR if bad_input else Level.WARN, f"no heading: {session.refusal}")
         for level, text in self._last_fault.values():
             report.fault(level, text)
@@ -312,7 +328,7 @@ def main():
         except ValueError as error:
             print(f"alignment_node: {error}", file=sys.stderr)
             return 2
-        rclpy.spin(node)
+        spin_sensors(node, node.sensors)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except rclpy_implementation.RCLError:

@@ -1,7 +1,8 @@
 """An alignment on a turntable from streams of samples: what ``alignment_node`` and ``align_bag`` run.
 
 It joins :class:`alignment.collector.DwellCollector`, :class:`alignment.station.TableAlignment` and
-:func:`alignment.station.align_turning`, chooses the method, and says why there is no heading when there is none.
+:func:`alignment.station.align_turning`, chooses the method, and says why there is no heading when there is
+none.
 """
 
 import dataclasses
@@ -268,7 +269,8 @@ class TableSession:
         levels, headings = self.compare()
         lacking = [name for name, there in ((levelling, levels), (method, headings)) if name not in there]
         if lacking:
-            return dataclasses.replace(found, north=None), f"{lacking[0]} lacks a position: the sequence goes on"
+            missing = f"{lacking[0]} lacks a position: the sequence goes on"
+            return dataclasses.replace(found, north=None), missing
         north = headings[method]
         time_left = 0.0 if north.std <= self.params.target_std else math.nan
         if method == "joint":

@@ -91,7 +91,7 @@ def _transition(x, R, jv, jh, dt, accel_bias_time):
 def _smooth(before_x, before_P, before_known, predicted_x, predicted_P, cross, keeps, x, P):
     """Rauch, Tung and Striebel's step; `cross` is the covariance of the states before and predicted."""
     S = predicted_P.copy()
-    if before_known:
+    if before_known and keeps[0]:
         # Unit length leaves no covariance along the down direction; whatever stands there has no effect.
         norm2 = predicted_x[0] ** 2 + predicted_x[1] ** 2 + predicted_x[2] ** 2
         for i in range(3):

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from attitude_estimator.edge import OUTPUT_TYPES, AttitudeNodeParams, OutputMessages, stamp_actions
-from attitude_estimator.estimator import AttitudeEstimator, Estimates
+from attitude_estimator.estimator import Estimates
+from attitude_estimator.rivals import make_estimator
 from attitude_estimator.smoother import smooth
 from inertial.recording import AltitudeSeries, ImuSeries
 from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
@@ -53,7 +54,7 @@ class BagEstimator:
 
     def __init__(self, params, imu_topic, altimeter_topic, altimeter_type, smoothed=False):
         self._params = params
-        self._estimator = AttitudeEstimator(params)
+        self._estimator = make_estimator(params)
         self._smoothed = smoothed
         self._faults = self._estimator.faults
         self._gate = gate_state()

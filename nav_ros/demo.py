@@ -1,8 +1,8 @@
 """attitude_demo: the whole product once round, scored against the truth.
 
-``replay_node`` plays a bundled flight and ``attitude_node`` estimates, each a process of its own, over DDS. Another
-``replay_node`` plays an IMU on a turntable in the namespace ``/table``, where ``alignment_node`` finds north. This
-process listens, compares with the truth in the bags, prints a table and writes ``report.html`` and
+``replay_node`` plays a bundled flight and ``attitude_node`` estimates, each a process of its own, over DDS.
+Another ``replay_node`` plays an IMU on a turntable in the namespace ``/table``, where ``alignment_node`` finds
+north. This process listens, compares with the truth in the bags, prints a table and writes ``report.html`` and
 ``attitude.png``. Exit status 1 when a figure is outside its stated bound or a process dies.
 """
 
@@ -190,7 +190,8 @@ def replay_and_listen(bag, expected, rate, folder, progress):
         progress.tell("waiting for attitude_node (its first start compiles the kernels, about a minute)")
         _wait_for_attitude(executor, listener, attitude, replay)
         table = Process("replay_node", folder, [
-            *table_arguments, "-p", f"bag:={bundled_bag('turntable')}", "-p", f"rate:={TABLE_RATE}"], "_table")
+            *table_arguments, "-p", f"bag:={bundled_bag('turntable')}", "-p", f"rate:={TABLE_RATE}"],
+            "_table")
         cleanup.callback(table.end)
         cpu_start, count_start = attitude.cpu_time(), len(listener.attitudes)
         processes = [attitude, replay, alignment, table]
@@ -269,8 +270,8 @@ def bound_figure(recording):
     settled = recording.imu.stamp_ns >= recording.imu.stamp_ns[0] + SETTLE_NS
     bound = tilt_bound(recording.imu, down_b, recording.altitude.stamp_ns,
                        SensorNoise.of(find_profile("consumer")))
-    return Figure("Cramer-Rao bound", f"{math.degrees(bound.tilt_rms(settled & spanned)):.2f} deg",
-                  "tilt RMS possible with this flight's IMU and altimeter alone, noise and biases as simulated")
+    return Figure("Cramer-Rao bound", f"{math.degrees(np.median(bound.tilt_std[settled & spanned])):.2f} deg",
+                  "median of the tilt sigma that this IMU and altimeter allow in this flight")
 
 
 def heading_figures(message, truth):

@@ -74,8 +74,8 @@ def test_phases_as_the_table_goes_on(recording):
     assert phases == ["waiting", "coarse", "positions", "aligned"]
 
 
-@pytest.mark.parametrize("latitude, reason", [(math.nan, "latitude is not known"),
-                                              (math.pi / 2, "too near a pole"), (-math.pi / 2, "too near a pole")])
+@pytest.mark.parametrize("latitude, reason", [
+    (math.nan, "latitude is not known"), (math.pi / 2, "too near a pole"), (-math.pi / 2, "too near a pole")])
 def test_without_a_usable_latitude_there_is_the_level_only(recording, latitude, reason):
     session = run(recording, dataclasses.replace(PARAMS, latitude=latitude, gravity=normal_gravity(LATITUDE)))
     assert reason in session.refusal and session.result.north is None and session.phase == "coarse"
@@ -138,11 +138,13 @@ def test_a_table_that_turns_both_ways_is_recognised():
     table = Turntable(ROLL, PITCH, HEADING, LATITUDE, float(normal_gravity(LATITUDE)))
     schedule = continuous_rotation(math.radians(20.0), 120.0, 0.02)
     readings = simulate_readings(table, schedule, TriadErrors(noise_density=PARAMS.gyro_noise_density),
-                                 TriadErrors(noise_density=PARAMS.accel_noise_density), np.random.default_rng(1))
+                                 TriadErrors(noise_density=PARAMS.accel_noise_density),
+                                 np.random.default_rng(1))
     session = TableSession(PARAMS)
     # The angle is known when each sample ends, the reading is the interval's mean.
     at_end = schedule.angle + 0.5 * schedule.rate * schedule.duration
-    for time, angle, gyro_b, accel_b in zip(schedule.end, at_end, readings.gyro_b, readings.accel_b, strict=True):
+    for time, angle, gyro_b, accel_b in zip(schedule.end, at_end, readings.gyro_b, readings.accel_b,
+                                            strict=True):
         stamp_ns = 10**18 + round(time * 1e9)
         session.add_joint(stamp_ns, angle)
         session.add_imu(stamp_ns, gyro_b, accel_b)

@@ -53,8 +53,8 @@ def test_readings_at_rest_are_earth_rate_and_gravity_of_the_turned_table():
         still = (time > start + 0.5) & (time < start + STAND - 0.5)
         dcm_nb = dcm_nt @ dcm_nb_from_euler(0.0, 0.0, np.radians(angle))
         gyro_std = np.hypot(grade.gyro_bias_std, grade.gyro_noise_density / np.sqrt(STAND))
-        np.testing.assert_allclose(recording.imu.gyro_b[still].mean(axis=0), dcm_nb.T @ earth_rate_n(LATITUDE),
-                                   atol=SIGMAS * gyro_std)
+        np.testing.assert_allclose(recording.imu.gyro_b[still].mean(axis=0),
+                                   dcm_nb.T @ earth_rate_n(LATITUDE), atol=SIGMAS * gyro_std)
         gravity = float(normal_gravity(LATITUDE))
         accel_std = np.hypot(grade.accel_bias_std, gravity * grade.accel_scale_std)
         np.testing.assert_allclose(recording.imu.accel_b[still].mean(axis=0), -dcm_nb[2] * gravity,

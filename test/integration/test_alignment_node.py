@@ -95,8 +95,8 @@ def test_a_replayed_table_is_aligned(bench, table_bag):
     assert phases[-3:] == ["coarse", "positions", "aligned"]
     values = values_of(statuses[-1])
     assert math.radians(float(values["heading_deg"])) == pytest.approx(0.5 * math.pi - yaw, abs=1e-4)
-    assert {"method", "heading_sigma_deg", "heading_floor_deg", "gyro_bias_deg_h", "gyro_scale", "chi2", "flags",
-            "time_to_target_s", "next_joint_rad"} <= set(values)
+    assert {"method", "heading_sigma_deg", "heading_floor_deg", "gyro_bias_deg_h", "gyro_scale", "chi2",
+            "flags", "time_to_target_s", "next_joint_rad"} <= set(values)
     wanted = list(dict.fromkeys(round(message.data, 6) for message in heard["table/command"]))
     quarter = round(0.5 * math.pi, 6)
     assert wanted[:2] == [0.0, -quarter], "a joint turns the other way round than a table angle"
@@ -175,8 +175,8 @@ def test_align_bag_finds_the_heading_and_compares_the_methods(table_bag):
     assert status == 0 and report["believable"] and report["refusal"] == "" and report["dwells"] == 8
     error_deg = math.remainder(report["heading_deg"] - math.degrees(HEADING), 360.0)
     assert abs(error_deg) < SIGMAS * report["heading_sigma_deg"]
-    assert {"phase", "method", "roll_deg", "pitch_deg", "heading_floor_deg", "chi2", "flags", "time_to_target_s",
-            "gyro_bias_deg_h", "gyro_scale", "rejections", "turning"} <= set(report)
+    assert {"phase", "method", "roll_deg", "pitch_deg", "heading_floor_deg", "chi2", "flags",
+            "time_to_target_s", "gyro_bias_deg_h", "gyro_scale", "rejections", "turning"} <= set(report)
     assert {"joint", "azimuth_1a", "azimuth_4"} <= set(report["heading_methods"])
     assert {"joint", "levelling_1"} <= set(report["levelling_methods"])
     status, out, _ = align_bag(table_bag, "--latitude", 35, "--params", CONFIG, "--method", "azimuth_4")
@@ -189,7 +189,8 @@ def test_align_bag_without_a_latitude_gives_the_level_and_status_1(table_bag):
 
 
 @pytest.mark.parametrize("arguments, reason", [
-    (("--latitude", 91), "must be from -90 to 90 deg"), (("-p", "dwel_time:=1.0"), "did you mean dwell_time?"),
+    (("--latitude", 91), "must be from -90 to 90 deg"),
+    (("-p", "dwel_time:=1.0"), "did you mean dwell_time?"),
     (("--method", "azimuth_2"), "dwells do not give"), (("--topic", "joints:=/other"), "no topic /other"),
     (("-p", "joint_name:=arm"), "no joint arm; joints there: table_joint")])
 def test_align_bag_tells_bad_input_in_one_line(table_bag, arguments, reason):

@@ -64,5 +64,5 @@ def test_a_table_angle_is_written_as_a_joint_that_turns_the_other_way():
     types, messages = recorded_messages(table)
     assert types["/joint_states"] == JOINTS
     found = [decode_joints(message.raw) for message in messages if message.topic == "/joint_states"]
-    assert found == [(stamp, {"table_joint": -angle}) for stamp, angle in zip(stamps.tolist(), (0.0, 0.5, 1.0),
-                                                                              strict=True)]
+    assert found == [(stamp, {"table_joint": -angle})
+                     for stamp, angle in zip(stamps.tolist(), (0.0, 0.5, 1.0), strict=True)]
