@@ -1,9 +1,9 @@
 """Streams of IMU samples and joint angles to dwells, and to the samples of a table that keeps turning.
 
 A stop begins where the table's angle stays within ``largest_angle_spread``; the first ``settle_time`` of it
-is dropped, then every ``dwell_time`` makes a dwell. A table that has gone round once without a stop is turning
-steadily, and its samples are kept instead. Stamps are those of the messages: which stream comes first does
-not matter.
+is dropped, then every ``dwell_time`` makes a dwell. A table that has gone round once without a stop is
+turning steadily, and its samples are kept instead. Stamps are those of the messages: which stream comes first
+does not matter.
 """
 
 import dataclasses

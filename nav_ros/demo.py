@@ -1,9 +1,9 @@
 """attitude_demo: the whole product once round, scored against the truth.
 
 ``replay_node`` plays a bundled flight and ``attitude_node`` estimates, each a process of its own, over DDS.
-Another ``replay_node`` plays an IMU on a turntable in the namespace ``/table``, where ``alignment_node`` finds
-north. This process listens, compares with the truth in the bags, prints a table and writes ``report.html`` and
-``attitude.png``. Exit status 1 when a figure is outside its stated bound or a process dies.
+Another ``replay_node`` plays an IMU on a turntable in the namespace ``/table``, where ``alignment_node``
+finds north. This process listens, compares with the truth in the bags, prints a table and writes
+``report.html`` and ``attitude.png``. Exit status 1 when a figure is outside its stated bound or a process dies.
 """
 
 import argparse
