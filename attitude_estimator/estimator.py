@@ -148,6 +148,9 @@ class AttitudeEstimator:
 
     @params.setter
     def params(self, params):
+        if params.estimator not in ("dcm_row", "dcm_row5"):
+            raise ValueError(f"estimator = {params.estimator!r}: AttitudeEstimator is dcm_row or dcm_row5; "
+                             "attitude_estimator.rivals.make_estimator makes the others")
         self._memory[kernels.M_PARAMETERS:kernels.M_OUT] = params.flat(kernels.PARAMETER_NAMES)
         self._params = params
 
