@@ -6,7 +6,7 @@
 help: ## this list
 	@sed -n 's/^\([a-z]*\): ## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
 
-demo: ## replay a bag through attitude_node over DDS, score it, write build/demo/report.html
+demo: ## a flight and a turntable through both nodes over DDS, scored; writes build/demo/report.html
 	@scripts/run study attitude_demo
 
 test: ## the whole test suite

@@ -129,8 +129,9 @@ class TableAlignment:
         white, total = (
             bounds.predicted_heading_std(schedule, self.params.gyro_noise_density, instability, *attitude)
             for instability in (0.0, self.params.gyro_bias_instability))
-        return AlignmentResult(level, north, math.sqrt(max(total ** 2 - white ** 2, 0.0)),
-                               self._time_left(float(north.std), white, total))
+        # The prediction is of one gyro; two do better.
+        floor = math.sqrt(max(total ** 2 - white ** 2, 0.0)) * min(1.0, float(north.std) / total)
+        return AlignmentResult(level, north, floor, self._time_left(float(north.std), white, total))
 
     def compare_methods(self, hint=None, level=None):
         """Return the heading by every closed form whose positions have been visited: name to result.
