@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import njit
 
-from inertial.rotation import zoh_integrals
+from inertial.rotation import fill_zoh_integrals
 
 N = 11
 VD, ALT, BG, BA = 3, 4, 5, 8
@@ -43,19 +43,27 @@ def smooth_back(before_x, before_P, before_known, predicted_x, predicted_P, keep
     bool
         `known` before the first step.
     """
+    R, jv, jh = np.empty((3, 3)), np.empty(3), np.empty(3)
+    F, cross, noise = np.empty((N, N)), np.empty((N, N)), np.empty((N, N))
     for k in range(len(dt) - 1, -1, -1):
-        out_x[k] = x
-        out_P[k] = P
+        for i in range(N):
+            out_x[k, i] = x[i]
+        _copy(P, out_P[k])
         out_known[k] = known
-        R, jv, jh = _motion(before_x[k], samples[k], dt[k], earth_rate_down)
-        F = _transition(before_x[k], R, jv, jh, dt[k], accel_bias_time)
+        _motion(before_x[k], samples[k], dt[k], earth_rate_down, R, jv, jh)
+        _transition(before_x[k], R, jv, jh, dt[k], accel_bias_time, F)
+        _times_transposed(before_P[k], F, cross)
         if known and not before_known[k] and keeps[k, 0]:
-            noise = predicted_P[k] - _times_transposed(_times(F, before_P[k]), F)
-            _carry_back(noise, keeps[k], dt[k], samples[k], gravity, earth_rate_down, x, P)
+            _times(F, cross, noise)
+            for i in range(N):
+                for j in range(N):
+                    noise[i, j] = predicted_P[k, i, j] - noise[i, j] if keeps[k, i] and keeps[k, j] else 0.0
+            _motion(x, samples[k], dt[k], earth_rate_down, R, jv, jh)
+            _carry_back(noise, R, jv, jh, dt[k], gravity, F, cross, x, P)
             known = P[0, 0] + P[1, 1] + P[2, 2] < lost_trace
         else:
-            _smooth(before_x[k], before_P[k], before_known[k], predicted_x[k], predicted_P[k],
-                    _times_transposed(before_P[k], F), keeps[k], x, P)
+            _smooth(before_x[k], before_P[k], before_known[k], predicted_x[k], predicted_P[k], cross,
+                    keeps[k], F, x, P)
             known = before_known[k]
         for i in range(N):
             for j in range(i):
@@ -64,69 +72,95 @@ def smooth_back(before_x, before_P, before_known, predicted_x, predicted_P, keep
 
 
 @njit(cache=True)
-def _motion(x, sample, dt, earth_rate_down):
-    """Return R, J1 f and J2 f of a sample without the state's biases."""
-    R, J1, J2 = zoh_integrals(sample[:3] - x[BG:BA] - earth_rate_down * x[:3], dt)
-    force = sample[3:] - x[BA:]
-    return R, _times_vector(J1, force), _times_vector(J2, force)
+def _motion(x, sample, dt, earth_rate_down, R, jv, jh):
+    """Write R, J1 f and J2 f of a sample without the state's biases."""
+    rate, J1, J2 = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        rate[i] = sample[i] - x[BG + i] - earth_rate_down * x[i]
+    fill_zoh_integrals(rate, dt, R, J1, J2)
+    for i in range(3):
+        jv[i] = jh[i] = 0.0
+        for j in range(3):
+            force = sample[3 + j] - x[BA + j]
+            jv[i] += J1[i, j] * force
+            jh[i] += J2[i, j] * force
 
 
 @njit(cache=True)
-def _transition(x, R, jv, jh, dt, accel_bias_time):
-    """The filter's F."""
-    F = np.eye(N)
-    F[:3, :3] = R.T
-    down = _times_vector(R.T, x[:3])
-    _fill_cross(F[:3, BG:BA], down, -dt)
-    F[VD, :3] = jv
-    F[VD, BA:] = -dt * down
-    F[ALT, :3] = -jh
+def _transition(x, R, jv, jh, dt, accel_bias_time, F):
+    """Write the filter's F."""
+    for i in range(N):
+        for j in range(N):
+            F[i, j] = 1.0 if i == j else 0.0
+    for i in range(3):
+        down = R[0, i] * x[0] + R[1, i] * x[1] + R[2, i] * x[2]
+        for j in range(3):
+            F[i, j] = R[j, i]
+        before, after = (i + 1) % 3, (i + 2) % 3
+        F[before, BG + after] = dt * down  # -dt [down x]
+        F[after, BG + before] = -dt * down
+        F[VD, i] = jv[i]
+        F[VD, BA + i] = -dt * down
+        F[ALT, i] = -jh[i]
+        F[BA + i, BA + i] = max(1.0 - dt / accel_bias_time, 0.0)
     F[ALT, VD] = -dt
-    for i in range(BA, N):
-        F[i, i] = max(1.0 - dt / accel_bias_time, 0.0)
-    return F
 
 
 @njit(cache=True)
-def _smooth(before_x, before_P, before_known, predicted_x, predicted_P, cross, keeps, x, P):
+def _smooth(before_x, before_P, before_known, predicted_x, predicted_P, cross, keeps, work, x, P):
     """Rauch, Tung and Striebel's step; `cross` is the covariance of the states before and predicted."""
-    S = predicted_P.copy()
+    _copy(predicted_P, work)
     if before_known and keeps[0]:
         # Unit length leaves no covariance along the down direction; whatever stands there has no effect.
         norm2 = predicted_x[0] ** 2 + predicted_x[1] ** 2 + predicted_x[2] ** 2
         for i in range(3):
             for j in range(3):
-                S[i, j] += predicted_x[i] * predicted_x[j] / norm2
-    for j in range(N):
-        if not keeps[j]:
-            cross[:, j] = 0.0
-    gain = _divide(cross, S)
-    x[:] = before_x + _times_vector(gain, x - predicted_x)
-    P[:] = before_P + _times_transposed(_times(gain, P - predicted_P), gain)
-    if before_known:
-        x[:3] /= math.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
+                work[i, j] += predicted_x[i] * predicted_x[j] / norm2
+    for i in range(N):
+        for j in range(N):
+            if not keeps[j]:
+                cross[i, j] = 0.0
+            P[i, j] -= predicted_P[i, j]
+        x[i] -= predicted_x[i]
+    _divide(cross, work)
+    gain = cross
+    _times_transposed(P, gain, work)
+    _times(gain, work, P)
+    for i in range(N):
+        work[0, i] = before_x[i]
+        for j in range(N):
+            P[i, j] += before_P[i, j]
+            work[0, i] += gain[i, j] * x[j]
+    norm = math.sqrt(work[0, 0] ** 2 + work[0, 1] ** 2 + work[0, 2] ** 2) if before_known else 1.0
+    for i in range(N):
+        x[i] = work[0, i] / norm if i < VD else work[0, i]
 
 
 @njit(cache=True)
-def _carry_back(noise, keeps, dt, sample, gravity, earth_rate_down, x, P):
+def _carry_back(noise, R, jv, jh, dt, gravity, inverse, work, x, P):
     """Carry the state back by the model alone, where the filter had no attitude to linearise about."""
-    R, jv, jh = _motion(x, sample, dt, earth_rate_down)
-    inverse = np.eye(N)
-    inverse[:3, :3] = R
-    cross = np.empty((3, 3))
-    _fill_cross(cross, x[:3], dt)
-    inverse[:3, BG:BA] = _times(R, cross)
-    inverse[VD] -= _times_vector(inverse[:3].T, jv)
-    inverse[VD, BA:] += dt * x[:3]
-    inverse[ALT] += dt * inverse[VD] + _times_vector(inverse[:3].T, jh)
+    for i in range(N):
+        for j in range(N):
+            inverse[i, j] = 1.0 if i == j else 0.0
+            P[i, j] += noise[i, j]
+    for i in range(3):
+        for j in range(3):
+            before, after = (j + 1) % 3, (j + 2) % 3
+            inverse[i, j] = R[i, j]
+            inverse[i, BG + j] = dt * (R[i, before] * x[after] - R[i, after] * x[before])
+        inverse[VD, BA + i] = dt * x[i]
     for j in range(N):
-        if not keeps[j]:
-            noise[j] = 0.0
-            noise[:, j] = 0.0
-    P[:] = _times_transposed(_times(inverse, P + noise), inverse)
-    x[:3] = _times_vector(R, x[:3])
+        for i in range(3):
+            inverse[VD, j] -= jv[i] * inverse[i, j]
+            inverse[ALT, j] += jh[i] * inverse[i, j]
+        inverse[ALT, j] += dt * inverse[VD, j]
+    _times_transposed(P, inverse, work)
+    _times(inverse, work, P)
+    d0, d1, d2 = x[0], x[1], x[2]
+    for i in range(3):
+        x[i] = R[i, 0] * d0 + R[i, 1] * d1 + R[i, 2] * d2
     x[VD] -= jv[0] * x[0] + jv[1] * x[1] + jv[2] * x[2] + dt * gravity
-    x[ALT] += (dt * x[VD] + jh[0] * x[0] + jh[1] * x[1] + jh[2] * x[2] + 0.5 * dt * dt * gravity)
+    x[ALT] += dt * x[VD] + jh[0] * x[0] + jh[1] * x[1] + jh[2] * x[2] + 0.5 * dt * dt * gravity
 
 
 @njit(cache=True)
@@ -146,83 +180,74 @@ def carry_heading(down, gyro_b, bias_variance, known, starts, dt, noise_density,
         North in body axes and the variance of the yaw; written where `known`.
     """
     bias_std = noise_var = 0.0
+    R, J1, J2 = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for k in range(len(dt)):
         if not known[k]:
             continue
-        d = down[k]
+        d = (down[k, 0], down[k, 1], down[k, 2])
         if k == 0 or starts[k] or not known[k - 1]:
             bias_std = noise_var = 0.0
-            n = np.array([-d[1], d[0], 0.0]) if abs(d[0]) > 0.99 else np.array([0.0, -d[2], d[1]])
+            n = (-d[1], d[0], 0.0) if abs(d[0]) > 0.99 else (0.0, -d[2], d[1])
         else:
-            R, _, _ = zoh_integrals(gyro_b[k], dt[k])
-            n = _times_vector(R.T, north[k - 1])
-            rate2 = 0.0
-            for i in range(3):
-                rate2 += d[i] ** 2 * bias_variance[k, i]
-            bias_std += dt[k] * math.sqrt(rate2)
+            fill_zoh_integrals(gyro_b[k], dt[k], R, J1, J2)
+            a = (north[k - 1, 0], north[k - 1, 1], north[k - 1, 2])
+            n = (R[0, 0] * a[0] + R[1, 0] * a[1] + R[2, 0] * a[2],
+                 R[0, 1] * a[0] + R[1, 1] * a[1] + R[2, 1] * a[2],
+                 R[0, 2] * a[0] + R[1, 2] * a[1] + R[2, 2] * a[2])
+            bias_std += dt[k] * math.sqrt(d[0] ** 2 * bias_variance[k, 0] + d[1] ** 2 * bias_variance[k, 1]
+                                          + d[2] ** 2 * bias_variance[k, 2])
             noise_var += dt[k] * noise_density**2
-        n -= (n[0] * d[0] + n[1] * d[1] + n[2] * d[2]) * d
-        north[k] = n / math.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+        along = n[0] * d[0] + n[1] * d[1] + n[2] * d[2]
+        norm = math.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2 - along**2)
+        for i in range(3):
+            north[k, i] = (n[i] - along * d[i]) / norm
         yaw_variance[k] = bias_std**2 + noise_var
 
 
 @njit(cache=True)
-def _fill_cross(out, v, scale):
-    """Write ``scale [v x]``."""
-    out[0, 0] = out[1, 1] = out[2, 2] = 0.0
-    out[0, 1], out[0, 2] = -scale * v[2], scale * v[1]
-    out[1, 0], out[1, 2] = scale * v[2], -scale * v[0]
-    out[2, 0], out[2, 1] = -scale * v[1], scale * v[0]
+def _copy(A, out):
+    for i in range(N):
+        for j in range(N):
+            out[i, j] = A[i, j]
 
 
 @njit(cache=True)
-def _times_vector(A, v):
-    out = np.zeros(A.shape[0])
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            out[i] += A[i, j] * v[j]
-    return out
-
-
-@njit(cache=True)
-def _times(A, B):
-    out = np.zeros((A.shape[0], B.shape[1]))
-    for i in range(A.shape[0]):
-        for k in range(A.shape[1]):
-            for j in range(B.shape[1]):
+def _times(A, B, out):
+    """Write ``A B``."""
+    for i in range(N):
+        for j in range(N):
+            out[i, j] = 0.0
+        for k in range(N):
+            for j in range(N):
                 out[i, j] += A[i, k] * B[k, j]
-    return out
 
 
 @njit(cache=True)
-def _times_transposed(A, B):
-    """Return ``A B^T``."""
-    out = np.zeros((A.shape[0], B.shape[0]))
-    for i in range(A.shape[0]):
-        for j in range(B.shape[0]):
-            for k in range(A.shape[1]):
-                out[i, j] += A[i, k] * B[j, k]
-    return out
+def _times_transposed(A, B, out):
+    """Write ``A B^T``."""
+    for i in range(N):
+        for j in range(N):
+            total = 0.0
+            for k in range(N):
+                total += A[i, k] * B[j, k]
+            out[i, j] = total
 
 
 @njit(cache=True)
 def _divide(B, S):
-    """Return ``B S^-1`` for a symmetric positive definite S, by its Cholesky factor."""
-    L = np.zeros(S.shape)
+    """Replace B by ``B S^-1`` for a symmetric positive definite S, and S by its Cholesky factor."""
     for i in range(N):
         for j in range(i + 1):
             rest = S[i, j]
             for k in range(j):
-                rest -= L[i, k] * L[j, k]
-            L[i, j] = math.sqrt(rest) if i == j else rest / L[j, j]
-    out = B.copy()
+                rest -= S[i, k] * S[j, k]
+            S[i, j] = math.sqrt(rest) if i == j else rest / S[j, j]
     for row in range(N):
         for j in range(N):
             for k in range(j):
-                out[row, j] -= L[j, k] * out[row, k]
-            out[row, j] /= L[j, j]
+                B[row, j] -= S[j, k] * B[row, k]
+            B[row, j] /= S[j, j]
         for j in range(N - 1, -1, -1):
             for k in range(j + 1, N):
-                out[row, j] -= L[k, j] * out[row, k]
-            out[row, j] /= L[j, j]
-    return out
+                B[row, j] -= S[k, j] * B[row, k]
+            B[row, j] /= S[j, j]

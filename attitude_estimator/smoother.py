@@ -6,6 +6,7 @@ Equations: ``docs/attitude.md``. Frames and units: :mod:`inertial`.
 """
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,20 +93,24 @@ class _Part:
 
 
 def _in_time_order(imu, actions, altitude, variance):
-    """Let each altitude arrive just before the first used sample that is not earlier."""
+    """Let each altitude arrive just before the first used sample that is not earlier.
+
+    An altitude for which there is none arrives after the last sample, which is never.
+    """
     if altitude is None:
         none = np.zeros(0, np.int64)
         return AltitudeSeries(none, np.zeros(0), none), np.zeros(0)
     variance = np.zeros(len(altitude)) if variance is None else np.asarray(variance)
     arrival = altitude.arrival.copy()
-    edges = [0, *np.flatnonzero(actions == ACTION_RESET), len(imu)]
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    resets = np.flatnonzero(actions == ACTION_RESET)
+    pieces = np.searchsorted(resets, altitude.arrival)
+    for piece, (first, last) in enumerate(zip([0, *resets], [*resets, len(imu)], strict=True)):
         used = first + np.flatnonzero(actions[first:last] != ACTION_SKIP)
-        inside = (altitude.arrival > first) & (altitude.arrival <= last)
-        if first == 0:
-            inside |= altitude.arrival == 0
+        inside = pieces == piece
         places = np.searchsorted(imu.stamp_ns[used], altitude.stamp_ns[inside])
-        arrival[inside] = np.append(used, last)[places]
+        arrival[inside] = np.append(used, len(imu))[places]
+        if first > 0:
+            arrival[inside & (arrival == first)] = len(imu)  # the filter forgets what came before
     order = np.lexsort((altitude.stamp_ns, arrival))
     return (AltitudeSeries(altitude.stamp_ns[order], altitude.altitude[order], arrival[order]),
             variance[order])
@@ -139,7 +144,7 @@ class _Steps:
         self.count = waiting = 0
         self._keep_after(memory, 0)
         stamps, altitudes = part.imu.stamp_ns.tolist(), part.altitude.altitude.tolist()
-        alt_stamps = part.altitude.stamp_ns.tolist()
+        alt_stamps, arrival = part.altitude.stamp_ns.tolist(), part.altitude.arrival.tolist()
         for k, (stamp, action) in enumerate(zip(stamps, part.actions.tolist(), strict=True)):
             if action == ACTION_SKIP:
                 continue
@@ -149,7 +154,9 @@ class _Steps:
             if kernels.push_imu(memory, stamp, part.imu.gyro_b[k], part.imu.accel_b[k]) != kernels.FRESH:
                 continue
             self._predict(memory, forget=action == ACTION_RESET)
-            while waiting < len(altitudes) and alt_stamps[waiting] <= stamp:
+            if self.dt[self.count] == 0.0 and self.after_known[self.count] and action != ACTION_RESET:
+                waiting = bisect_right(arrival, k, waiting)  # those within a long gap do not count
+            while waiting < len(altitudes) and arrival[waiting] <= k:
                 if math.isfinite(altitudes[waiting]):
                     age = (stamp - alt_stamps[waiting]) * 1e-9
                     self._take_altitude(memory, altitudes[waiting], part.variance[waiting], age)
