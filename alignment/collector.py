@@ -46,13 +46,17 @@ class DwellCollector:
         self.reset()
 
     def reset(self):
-        """Forget every sample."""
+        """Forget every sample, and when time began."""
         self._origin_ns = None
+        self._dwelt_at = self._dwelt_until = math.nan
+        self.pause()
+
+    def pause(self):
+        """Forget every sample; dwells that follow come later than those before."""
         self._joints, self._waiting = deque(), deque()
         self._anchor = self._stop_start = self._last = math.nan
         self._travel = 0.0
         self._rows, self._turning = [], []
-        self._dwelt_at = self._dwelt_until = math.nan
         self.angle = math.nan
 
     @property

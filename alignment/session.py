@@ -87,7 +87,8 @@ class TableSession:
         """Take in the dwell under way, if it is long enough, and ignore what comes until :meth:`start`."""
         changed = self.finish()
         self.running = False
-        self._collector.reset()
+        self._collector.pause()
+        self._turned_time = 0.0
         return changed
 
     def start(self):

@@ -123,6 +123,22 @@ def test_other_methods_and_what_they_lack(recording):
     assert len(session.dwells) == 3 and "azimuth_1b lacks a position" in session.refusal
 
 
+def test_dwells_after_a_stop_follow_those_before(recording):
+    session = TableSession(PARAMS, follow=False)
+    half = len(recording.imu) // 2
+    joints = dict(zip(recording.joint.stamp_ns.tolist(), recording.joint.angle.tolist(), strict=True))
+    for k, stamp_ns in enumerate(recording.imu.stamp_ns.tolist()):
+        if k == half:
+            session.stop()
+        if k == half + 50:
+            session.start()
+        if stamp_ns in joints:
+            session.add_joint(stamp_ns, joints[stamp_ns])
+        session.add_imu(stamp_ns, recording.imu.gyro_b[k], recording.imu.accel_b[k])
+    assert len(session.dwells) == 8 and not session.rejected
+    assert_aligned(session)
+
+
 def test_stop_start_and_reset(recording):
     session = run(recording)
     session.stop()
