@@ -56,8 +56,7 @@ def smooth(imu, altitude=None, altitude_variance=None, *, params=None, actions=N
         When a stamp that is to be used is not later than the one before.
     """
     params = AttitudeParams() if params is None else params
-    if params.estimator != "dcm_row":
-        raise ValueError(f"estimator = {params.estimator}: only dcm_row can be smoothed")
+    check_smoothable(params)
     actions = np.zeros(len(imu), np.int64) if actions is None else np.asarray(actions)
     altitude, variance = _in_time_order(imu, actions, altitude, altitude_variance)
     parts = [_cut(imu, actions, altitude, variance, first) for first in range(0, len(imu), PART)]
@@ -80,6 +79,12 @@ def smooth(imu, altitude=None, altitude_variance=None, *, params=None, actions=N
         covariance[here], starts[here] = after.go_back(steps, params, rows[here])
     _write_attitude(estimates, covariance, starts, params)
     return estimates, fresh, estimator.faults
+
+
+def check_smoothable(params):
+    """Raise ValueError unless it is the default filter that is asked for."""
+    if params.estimator != "dcm_row":
+        raise ValueError(f"estimator = {params.estimator}: only dcm_row can be smoothed")
 
 
 @dataclass(frozen=True)
