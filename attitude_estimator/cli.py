@@ -15,7 +15,7 @@ import numpy as np
 from attitude_estimator.edge import OUTPUT_TYPES, AttitudeNodeParams, OutputMessages, stamp_actions
 from attitude_estimator.estimator import Estimates
 from attitude_estimator.rivals import make_estimator
-from attitude_estimator.smoother import smooth
+from attitude_estimator.smoother import check_smoothable, smooth
 from inertial.recording import AltitudeSeries, ImuSeries
 from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
 from nav_ros.bags import TYPES, BagError, BagReader, BagWriter, choose_altitude
@@ -55,6 +55,8 @@ class BagEstimator:
     def __init__(self, params, imu_topic, altimeter_topic, altimeter_type, smoothed=False):
         self._params = params
         self._estimator = make_estimator(params)
+        if smoothed:
+            check_smoothable(params)
         self._smoothed = smoothed
         self._faults = self._estimator.faults
         self._gate = gate_state()
