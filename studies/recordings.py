@@ -15,6 +15,7 @@ import numpy as np
 
 from attitude_estimator.estimator import AttitudeEstimator
 from attitude_estimator.params import AttitudeParams
+from attitude_estimator.smoother import smooth
 from inertial.scoring import AttitudeScore, score_attitude
 from nav_ros.bags import read_recording
 
@@ -41,12 +42,13 @@ ABLATIONS = {
 
 @dataclass(frozen=True)
 class RecordingResult:
-    """One recording: our scores with and without its altimeter, and the peers' tilt RMS in deg."""
+    """One recording: our scores with and without its altimeter, smoothed, and the peers' tilt RMS in deg."""
 
     name: str
     family: str
     score: AttitudeScore
     score_imu_only: AttitudeScore
+    score_smoothed: AttitudeScore
     peers: dict
 
 
@@ -65,6 +67,10 @@ def family_of(name):
 def estimate(recording, params, use_altitude=True):
     """Return the score of an estimator on a recording."""
     estimates, _ = AttitudeEstimator(params).run(recording.imu, recording.altitude if use_altitude else None)
+    return _score(estimates, recording)
+
+
+def _score(estimates, recording):
     return score_attitude(estimates.stamp_ns, estimates.q_nb_wxyz, estimates.tilt_covariance_n,
                           estimates.valid, recording.truth)
 
@@ -78,6 +84,7 @@ def score_recordings(folder, params):
             results.append(RecordingResult(
                 row["name"], family_of(row["name"]), estimate(recording, params),
                 estimate(recording, params, use_altitude=False),
+                _score(smooth(recording.imu, recording.altitude, params=params)[0], recording),
                 {peer: float(row[f"{peer}_tilt"]) for peer in PEERS}))
             print(".", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
@@ -132,21 +139,28 @@ def report(results):
         "# Real recordings", "",
         "Made by `make study`. Tilt RMS in degrees after the first 5 s, default parameters everywhere, cold "
         "start; sigma is the median of what the filter predicts, inside 3 sigma counts the time without an "
-        "attitude as outside. Without altitude: the same estimator, IMU alone.", "",
-        "| recording | ours | sigma | inside 3 sigma | without altitude | VQF | Fusion | Madgwick | Mahony |",
-        "|---|---|---|---|---|---|---|---|---|"]
+        "attitude as outside. Without altitude: the same estimator, IMU alone. Smoothed: `estimate_bag --smooth`, "
+        "which knows what comes after. It is as good as the model: a constant error that the model takes for noise "
+        "stays, and in recordings that hardly move the smoother may be the worse.", "",
+        "| recording | ours | sigma | inside 3 sigma | without altitude | smoothed | VQF | Fusion | Madgwick | "
+        "Mahony |",
+        "|---|---|---|---|---|---|---|---|---|---|"]
     for result in results:
         cells = [f"{result.score.tilt_rms_deg:.2f}", f"{result.score.median_sigma_deg:.2f}",
                  f"{result.score.coverage_3sigma:.1%}", f"{result.score_imu_only.tilt_rms_deg:.2f}",
+                 f"{result.score_smoothed.tilt_rms_deg:.2f}",
                  *(f"{result.peers[peer]:.2f}" for peer in PEERS)]
         lines.append(f"| {result.name} | {' | '.join(cells)} |")
     lines += ["", "Medians of each family:", "",
-              "| family | ours | without altitude | VQF | ratio to VQF |", "|---|---|---|---|---|"]
+              "| family | ours | without altitude | VQF | ratio to VQF | smoothed | smoothed to forward |",
+              "|---|---|---|---|---|---|---|"]
     ours = family_medians(results, lambda result: result.score.tilt_rms_deg)
     alone = family_medians(results, lambda result: result.score_imu_only.tilt_rms_deg)
     vqf = family_medians(results, lambda result: result.peers["vqf"])
+    smoothed = family_medians(results, lambda result: result.score_smoothed.tilt_rms_deg)
     lines += [f"| {family} | {ours[family]:.2f} | {alone[family]:.2f} | {vqf[family]:.2f} | "
-              f"{ours[family] / vqf[family]:.2f} |" for family in ours]
+              f"{ours[family] / vqf[family]:.2f} | {smoothed[family]:.2f} | {smoothed[family] / ours[family]:.2f} |"
+              for family in ours]
     with_altitude = geometric_ratio(results, lambda result: result.score.tilt_rms_deg)
     without = geometric_ratio(results, lambda result: result.score_imu_only.tilt_rms_deg)
     lines += ["", f"Geometric mean of the families' ratios to VQF: {with_altitude:.2f} with altitude, "
