@@ -32,8 +32,8 @@ def spin_sensors(node, sensors):
     ----------
     node : rclpy.node.Node
     sensors : list of (rclpy.subscription.Subscription, callable)
-        Raw subscriptions of a :class:`SensorGroup` with what takes their bytes; of messages that wait together, those of the first
-        subscription are served first.
+        Raw subscriptions of a :class:`SensorGroup` with what takes their bytes; of messages that wait together,
+        those of the first subscription are served first.
 
     Raises
     ------
