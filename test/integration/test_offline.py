@@ -4,11 +4,13 @@ import json
 import os
 import subprocess
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rosbags", reason="rosbags is not installed")
 
 from nav_ros.bags import BagReader, BagWriter, read_messages  # noqa: E402
+from nav_ros.messages import IMU, ORIENTATION_COVARIANCE, decode  # noqa: E402
 from nav_ros.resources import executable  # noqa: E402
 
 LIMIT = 400.0
@@ -95,6 +97,18 @@ def test_parameters_from_a_file_and_the_command_line(bag, estimated, tmp_path):
     assert len(out["/attitude/state"]) == len(out["/imu/data"]) == len(estimated["/imu/data"])
     assert b"map\0" in out["/attitude/state"][0] and b"hull_stabilized\0" in out["/attitude/state"][0]
     assert out["/imu/data"][-1][-37 * 8:] != estimated["/imu/data"][-1][-37 * 8:]
+
+
+def test_a_smoothed_bag_has_the_same_messages_and_an_attitude_from_the_start(bag, estimated, tmp_path):
+    status, _, errors = run("estimate_bag", bag, tmp_path / "smoothed", "--smooth")
+    assert (status, errors) == (0, "")
+    smoothed = written(tmp_path / "smoothed")
+    assert set(smoothed) == set(estimated) and len(smoothed["/imu/data"]) == len(estimated["/imu/data"])
+    known = {which: np.array([decode(IMU, raw)[2][ORIENTATION_COVARIANCE.start] >= 0.0 for raw in raws])
+             for which, raws in (("smoothed", smoothed["/imu/data"]), ("filtered", estimated["/imu/data"]))}
+    assert known["smoothed"].all() and not known["filtered"].all()
+    status, _, errors = run("estimate_bag", bag, tmp_path / "no", "--smooth", "-p", "estimator:=dcm_row5")
+    assert status == 2 and len(errors.splitlines()) == 1 and not (tmp_path / "no").exists()
 
 
 def test_an_interrupted_recording_is_estimated_up_to_the_break(bag, estimated, tmp_path):
