@@ -12,16 +12,12 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped, Vector3Stamped
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.executors import ExternalShutdownException
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import Imu, JointState, NavSatFix, NavSatStatus
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
@@ -51,7 +47,7 @@ from nav_ros.messages import (
     decode_joints,
 )
 from nav_ros.parameters import declare_parameters, on_change, parameter_names
-from nav_ros.sensor_loop import SensorGroup, spin_sensors
+from nav_ros.sensor_loop import SensorGroup, run_sensor_node
 
 SENSOR_QOS = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST,
                         reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -312,34 +308,7 @@ class AlignmentNode(Node):
 
 def main():
     """Run the node until it is interrupted or shut down; return its exit status."""
-    try:
-        rclpy.init()
-        others = remove_ros_args(sys.argv)[1:]
-        if others:
-            raise ValueError(f"unknown argument {others[0]}: parameters and remaps come after --ros-args")
-    except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError, ValueError) as error:
-        # What follows is the place in the source of ROS.
-        print(f"alignment_node: {str(error).partition(', at /')[0]}", file=sys.stderr)
-        return 2
-    node = None
-    try:
-        try:
-            node = AlignmentNode()
-        except ValueError as error:
-            print(f"alignment_node: {error}", file=sys.stderr)
-            return 2
-        spin_sensors(node, node.sensors)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except rclpy_implementation.RCLError:
-        # A signal may end the context in the middle of a call.
-        if rclpy.ok():
-            raise
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
+    return run_sensor_node("alignment_node", AlignmentNode)
 
 
 if __name__ == "__main__":

@@ -17,13 +17,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, TransformStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.executors import ExternalShutdownException
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import FluidPressure, Imu
 from std_srvs.srv import SetBool, Trigger
 
@@ -44,7 +41,7 @@ from nav_ros.messages import (
     decode,
 )
 from nav_ros.parameters import declare_parameters, on_change, parameter_names
-from nav_ros.sensor_loop import SensorGroup, spin_sensors
+from nav_ros.sensor_loop import SensorGroup, run_sensor_node
 from nav_ros.time_gate import StampCode, TimeGate
 
 DEPTH = 1000  # messages; half a second of a fast IMU while the machine is busy elsewhere
@@ -391,38 +388,7 @@ class AttitudeNode(Node):
 
 def main():
     """Run the node until it is interrupted or shut down; return its exit status."""
-    try:
-        rclpy.init()
-        _refuse_other_arguments()
-    except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError, ValueError) as error:
-        # What follows is the place in the source of ROS.
-        print(f"attitude_node: {str(error).partition(', at /')[0]}", file=sys.stderr)
-        return 2
-    node = None
-    try:
-        try:
-            node = AttitudeNode()
-        except ValueError as error:
-            print(f"attitude_node: {error}", file=sys.stderr)
-            return 2
-        spin_sensors(node, node.sensors)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except rclpy_implementation.RCLError:
-        # A signal may end the context in the middle of a call.
-        if rclpy.ok():
-            raise
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
-
-
-def _refuse_other_arguments():
-    others = remove_ros_args(sys.argv)[1:]
-    if others:
-        raise ValueError(f"unknown argument {others[0]}: parameters and remaps come after --ros-args")
+    return run_sensor_node("attitude_node", AttitudeNode)
 
 
 if __name__ == "__main__":

@@ -5,13 +5,15 @@ of an IMU that costs several times the estimate. Here the sensors' subscriptions
 executor gets a turn every :data:`HOUSEKEEPING` seconds for the rest.
 """
 
+import sys
 import time
 
 import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.subscription import Subscription
+from rclpy.utilities import remove_ros_args
 
 HOUSEKEEPING = 0.05  # s from one turn of the executor to the next
 BACKLOG = 1000  # messages served in a row
@@ -23,6 +25,51 @@ class SensorGroup(MutuallyExclusiveCallbackGroup):
     def can_execute(self, entity):
         """Whether the executor may serve an entity."""
         return not isinstance(entity, Subscription) and super().can_execute(entity)
+
+
+def run_sensor_node(name, node_class):
+    """Run a node with fast sensors until it is interrupted or shut down.
+
+    Parameters
+    ----------
+    name : str
+        Of the program, for what it prints.
+    node_class : type
+        Made without arguments; a ValueError ends the start. Its ``sensors`` are those of :func:`spin_sensors`.
+
+    Returns
+    -------
+    int
+        Exit status: 0, or 2 after one line about what is wrong with the arguments or parameters.
+    """
+    try:
+        rclpy.init()
+        others = remove_ros_args(sys.argv)[1:]
+        if others:
+            raise ValueError(f"unknown argument {others[0]}: parameters and remaps come after --ros-args")
+    except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError, ValueError) as error:
+        # What follows is the place in the source of ROS.
+        print(f"{name}: {str(error).partition(', at /')[0]}", file=sys.stderr)
+        return 2
+    node = None
+    try:
+        try:
+            node = node_class()
+        except ValueError as error:
+            print(f"{name}: {error}", file=sys.stderr)
+            return 2
+        spin_sensors(node, node.sensors)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except rclpy_implementation.RCLError:
+        # A signal may end the context in the middle of a call.
+        if rclpy.ok():
+            raise
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
 
 
 def spin_sensors(node, sensors):
