@@ -216,15 +216,19 @@ class _McapWriter(McapWriter):
     def write(self, connection, timestamp, data):
         """Append one message."""
         chunk, channel = self.chunk, connection.id
-        self.message_start_time = min(timestamp, self.message_start_time)
-        self.message_end_time = max(timestamp, self.message_end_time)
+        if timestamp < chunk.message_start_time:
+            chunk.message_start_time = timestamp
+            self.message_start_time = min(timestamp, self.message_start_time)
+        if timestamp > chunk.message_end_time:
+            chunk.message_end_time = timestamp
+            self.message_end_time = max(timestamp, self.message_end_time)
         self.channel_stats[channel] += 1
-        chunk.message_start_time = min(timestamp, chunk.message_start_time)
-        chunk.message_end_time = max(timestamp, chunk.message_end_time)
-        chunk.msgs[channel].append((timestamp, chunk.bio.tell()))
-        chunk.bio.write(self._message.pack(5, 22 + len(data), channel, 0, timestamp, timestamp))
-        chunk.bio.write(data)
-        if chunk.bio.tell() > 2**20:
+        bio, size = chunk.bio, len(data)
+        start = bio.tell()
+        chunk.msgs[channel].append((timestamp, start))
+        bio.write(self._message.pack(5, 22 + size, channel, 0, timestamp, timestamp))
+        bio.write(data)
+        if start + self._message.size + size > 2**20:
             self.close_chunk()
 
 
