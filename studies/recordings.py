@@ -166,9 +166,9 @@ def report(results):
     lines += ["", f"Geometric mean of the families' ratios to VQF: {with_altitude:.2f} with altitude, "
               f"{without:.2f} without.", "",
               "The truth of the inav recordings is the onboard filter of the same IMU (differences below "
-              "2 deg mean nothing there), that of vn100 comes from the same sensor, px4 stands still. INDEX.csv's figures "
-              "of the broad recordings leave out their rests: [accuracy.md](accuracy.md) has the peers run on the same "
-              "samples, where VQF is level with us on broad.", ""]
+              "2 deg mean nothing there), that of vn100 comes from the same sensor, px4 stands still. The "
+              "index's figures of the broad recordings are over other samples than ours: compare those in "
+              "[accuracy.md](accuracy.md), where the peers are run on the same ones.", ""]
     return "\n".join(lines)
 
 
