@@ -37,7 +37,7 @@ from nav_ros.report import AttitudeRun, Figure, text_table, write_report
 from nav_ros.resources import bundled_bag, bundled_config, executable
 
 SIGMA_RATIO = (0.7, 1.2)  # error over what the filter predicts: below it is timid, above it overconfident
-COVERAGE = 0.95
+COVERAGE = 0.98  # of the time within three sigma
 RATE = 2.0  # times real time: 400 Hz of a 200 Hz bag
 PATIENCE = 180.0  # s for the start, which may have kernels to compile
 TABLE, TABLE_RATE = "/table", 4.0  # namespace, times real time
