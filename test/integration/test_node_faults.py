@@ -185,6 +185,7 @@ def test_pressure_its_unit_and_two_altimeters(bench):
     assert "multiply by 100" in auto.said and "multiply by 100" in chosen.said
 
     altitude = peer.publisher(PointStamped, "altitude")
+    bench.wait_until(lambda: altitude.get_subscription_count() == 1, "the node that takes any altimeter")
     for _ in range(3):
         barometer.publish(pressure.encode(feed.stamp_ns, np.array([101325.0, 4.0])))
         altitude.publish(point.encode(feed.stamp_ns, np.zeros(3)))
