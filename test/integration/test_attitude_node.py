@@ -222,6 +222,7 @@ def test_altitude_can_be_switched_off_and_on(bench):
     bench.start_ready("-p", "auxiliary_rate:=0.0")
     peer = bench.peer()
     feed, altitude = bench.feed(peer), peer.publisher(PointStamped, "altitude")
+    bench.wait_until(lambda: altitude.get_subscription_count() == 1, "the altimeter's match")
     state = peer.hear(Odometry, "attitude/state")
     encoder = StampedEncoder(POINT, "odom")
 

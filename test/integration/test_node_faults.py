@@ -142,6 +142,7 @@ def test_an_altitude_that_is_missing_wrong_or_stops(bench):
     peer = bench.peer()
     diagnostics = bench.diagnostics(peer)
     feed, altitude = bench.feed(peer), peer.publisher(PointStamped, "altitude")
+    bench.wait_until(lambda: altitude.get_subscription_count() == 1, "the altimeter's match")
     point = StampedEncoder(POINT, "odom")
 
     def climb(seconds, height=10.0):
