@@ -56,6 +56,13 @@ class DemoError(Exception):
     """Raised when the demo cannot come to an end, with what its user should read."""
 
 
+def cpu_time(pid):
+    """Return the seconds of processor time that a process has used."""
+    # The name, which may contain blanks, stands in parentheses; user and system time are fields 14, 15.
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 class Process:
     """One of the package's executables, with what it says kept in a file."""
 
@@ -83,9 +90,7 @@ class Process:
 
     def cpu_time(self):
         """Return the seconds of processor time that the process has used."""
-        # The name, which may contain blanks, stands in parentheses; user and system time are fields 14, 15.
-        fields = Path(f"/proc/{self._popen.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        return cpu_time(self._popen.pid)
 
     def end(self):
         """End the process as Ctrl-C does, by force if that takes too long."""

@@ -18,7 +18,7 @@ from attitude_estimator.cli import estimate_bag
 from attitude_estimator.edge import AttitudeNodeParams
 from inertial.simulator import simulate
 from nav_ros.bags import TOPICS, BagWriter
-from nav_ros.demo import Listener, free_domain
+from nav_ros.demo import Listener, cpu_time, free_domain
 from nav_ros.recorded import recorded_messages
 from nav_ros.resources import executable
 from studies.timing import print_table, times_in_turn
@@ -41,7 +41,7 @@ def bench_nodes():
         cleanup.callback(rclpy.try_shutdown)
         for rate in NODE_RATES:
             bag = Path(folder) / f"imu_{rate:.0f}"
-            _write_bag(bag, rate)
+            _write_bag(bag, rate, NODE_SECONDS)
             runs = {name: [] for name in nodes}
             for _ in range(NODE_ROUNDS):
                 for name, command in nodes.items():
@@ -59,12 +59,14 @@ def bench_nodes():
     return results
 
 
-def _write_bag(path, rate):
-    recording = simulate("turn", duration=NODE_SECONDS, imu_rate=rate)
+def _write_bag(path, rate, seconds):
+    """Write a bag of simulated turns; return how many messages it has."""
+    recording = simulate("turn", duration=seconds, imu_rate=rate)
     types, messages = recorded_messages(recording)
     with BagWriter(path, types) as writer:
         for message in messages:
             writer.write(*message)
+    return len(messages)
 
 
 def _run_node(command, bag, executor, listener):
@@ -76,10 +78,10 @@ def _run_node(command, bag, executor, listener):
     try:
         while len(listener.attitudes) < 200:
             executor.spin_once(timeout_sec=0.1)
-        cpu, count = _cpu_seconds(node.pid), len(listener.attitudes)
+        cpu, count = cpu_time(node.pid), len(listener.attitudes)
         while replay.poll() is None:
             executor.spin_once(timeout_sec=0.1)
-        cpu, count = _cpu_seconds(node.pid) - cpu, len(listener.attitudes) - count
+        cpu, count = cpu_time(node.pid) - cpu, len(listener.attitudes) - count
         deadline = time.monotonic() + 1.0
         while time.monotonic() < deadline:
             executor.spin_once(timeout_sec=0.1)
@@ -93,20 +95,11 @@ def _run_node(command, bag, executor, listener):
             "lost": len(listener.sent_at) - len(listener.attitudes)}
 
 
-def _cpu_seconds(pid):
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 def bench_offline():
     """Speed of estimate_bag beside rosbags reading the same messages raw."""
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
-        recording = simulate("turn", duration=OFFLINE_SECONDS, imu_rate=200.0)
-        types, messages = recorded_messages(recording)
-        with BagWriter(bag, types) as writer:
-            for message in messages:
-                writer.write(*message)
+        count = _write_bag(bag, 200.0, OFFLINE_SECONDS)
 
         def read():
             with Reader(bag) as reader:
@@ -118,10 +111,10 @@ def bench_offline():
             estimate_bag(bag, Path(folder) / f"out{estimate.runs}", AttitudeNodeParams(), TOPICS)
 
         estimate.runs = 0
-        times = times_in_turn({"rosbags reads": read, "estimate_bag": estimate}, len(messages))
+        times = times_in_turn({"rosbags reads": read, "estimate_bag": estimate}, count)
     print_table("offline: microseconds per message", times, "rosbags reads")
     share = times["rosbags reads"] / times["estimate_bag"]
-    seconds = times["estimate_bag"] * 1e-6 * len(messages)
+    seconds = times["estimate_bag"] * 1e-6 * count
     print(f"estimate_bag runs at {share:.0%} of the speed of reading alone (asked for: 30%), "
           f"{OFFLINE_SECONDS / seconds:.0f} times real time\n")
     return {"us_per_message": times, "share_of_reading": share}
