@@ -5,9 +5,7 @@ for :data:`STAND` seconds, enough for a dwell of 15 s. The IMU turns with the ta
 of the table at table angle zero, which does not change. A table angle is positive clockwise seen from above
 (about z, down).
 
-Gyros have white noise, 1/f noise ("bias instability"), a bias, scale factor errors and misalignment. The 1/f
-noise is a sum of first-order Gauss-Markov processes, one an octave, each of variance B^2 / 2: its two-sided
-spectral density is B^2 / (4 ln 2 f) and its Allan deviation flat at B (IEEE Std 952-1997, annex C).
+Gyros have white noise, 1/f noise ("bias instability"), a bias, scale factor errors and misalignment.
 """
 
 import math
@@ -15,9 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inertial._kernels import first_order_recursion
 from inertial.earth import normal_gravity
-from inertial.imu_errors import ImuErrors, apply_imu_errors
+from inertial.imu_errors import ImuErrors, apply_imu_errors, flicker_noise
 from inertial.recording import AttitudeSeries, ImuSeries, JointSeries, Recording
 from inertial.rotation import dcm_nb_from_euler, quaternion_from_dcm
 from inertial.simulator import Trajectory, sample_trajectory
@@ -32,7 +29,6 @@ ROLL, PITCH, HEADING = (math.radians(angle) for angle in (2.0, -1.5, 130.0))
 _ANGLES = np.radians([0.0, 90.0, 180.0, 270.0, 270.0, 180.0, 90.0, 0.0])
 _JOINT_RATE = 20.0  # Hz
 _TRUTH_PERIOD_NS = 100_000_000
-_SLOWEST = 8.0  # durations: what is slower still is part of the bias
 _DEG = math.pi / 180
 _DEG_PER_HOUR = _DEG / 3600
 _DEG_PER_ROOT_HOUR = _DEG / 60
@@ -136,31 +132,6 @@ def table_angle(duration):
     arrivals = (STAND + MOVE) * np.arange(stops)
     knots = np.stack([arrivals, arrivals + STAND], axis=-1).ravel()
     return Profile(knots, np.repeat(angles, 2))
-
-
-def flicker_noise(bias_instability, interval, count, rng, columns=3):
-    """Return 1/f noise.
-
-    Parameters
-    ----------
-    bias_instability : float
-        Floor of the Allan deviation.
-    interval : float, s
-    count, columns : int
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    (count, columns) float64
-    """
-    octaves = math.ceil(math.log2(_SLOWEST * count)) + 1
-    total = np.zeros((count, columns))
-    for time in interval * 2.0 ** np.arange(octaves):
-        decay = np.full(count, math.exp(-interval / time))
-        decay[0] = 0.0
-        drive = rng.standard_normal((count, columns)) * np.sqrt(1 - decay ** 2)[:, None]
-        total += first_order_recursion(decay, drive)
-    return bias_instability * math.sqrt(0.5) * total
 
 
 def _motion(time, angle, dcm_nt):
