@@ -8,8 +8,9 @@ A name is ``parked_<grade>``, with the end ``_two_position`` (the IMU, or the ve
 turn in the middle), ``_rotating`` (it turns at 6 deg/s after half a minute, a turn one way, a turn the other) or
 ``_moved`` (in the middle the vehicle drives off and parks elsewhere, on other ground with another heading).
 
-The grade ``adis`` has the ADIS16488A's figures of paper 002, table 1. Its output noise and noise density are the
-random walk seen at high frequencies and do not count twice.
+The grade ``adis`` has the ADIS16488A's figures of paper 002, table 1, turn-on biases among them. Its output noise
+and noise density are the random walk seen at high frequencies and do not count twice; its nonlinearity, a share of
+the full scale, is a parabola's there.
 """
 
 import itertools
@@ -19,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from inertial.earth import STANDARD_GRAVITY, normal_gravity
-from inertial.imu_errors import ImuErrors, apply_imu_errors
+from inertial.imu_errors import ImuErrors, apply_imu_errors, find_profile
 from inertial.recording import AttitudeSeries, ImuSeries
 from inertial.rotation import dcm_nb_from_euler
 from inertial.simulator import SimulatedRecording, Trajectory, sample_trajectory
-from inertial.table_scenarios import HEADING, LATITUDE, PITCH, ROLL, TableMotion, flicker_noise
+from inertial.table_scenarios import HEADING, LATITUDE, PITCH, ROLL, TableMotion
 from inertial.trajectory import Motion, Profile
 
 START = 30.0
@@ -60,47 +61,39 @@ class ParkedGrade:
     ----------
     description : str
     errors : inertial.imu_errors.ImuErrors
-    gyro_bias_instability : float, rad/s
-        Floor of the gyros' Allan deviation: 1/f noise beside the bias of the turn-on.
-    accel_bias_instability : float, m/s^2
     gyro_curvature : float, s/rad
-        Nonlinearity, as the share of the full scale by which a parabola is off there, over the full scale.
+        Nonlinearity: the factor of the square of the rate in the reading.
     accel_curvature : float, s^2/m
     """
 
     description: str
     errors: ImuErrors
-    gyro_bias_instability: float = 0.0
-    accel_bias_instability: float = 0.0
     gyro_curvature: float = 0.0
     accel_curvature: float = 0.0
 
 
+_ADIS = find_profile("adis16488a").imu
 GRADES = {
     "perfect": ParkedGrade("perfect sensors", ImuErrors()),
     "navigation": ParkedGrade(
         "navigation-grade sensors (0.01 deg/h, 0.002 deg/rt-h, 0.05 mg)",
         ImuErrors(gyro_noise_density=0.002 * _DEG_PER_ROOT_HOUR, gyro_bias_std=0.01 * _DEG_PER_HOUR,
-                  gyro_scale_std=1e-5, gyro_misalignment_std=2e-5,
-                  accel_noise_density=0.003 * _PER_ROOT_HOUR, accel_bias_std=0.05 * _MILLI_G,
-                  accel_scale_std=5e-5, accel_misalignment_std=2e-5),
-        0.002 * _DEG_PER_HOUR, 0.005 * _MILLI_G),
+                  gyro_bias_instability=0.002 * _DEG_PER_HOUR, gyro_scale_std=1e-5,
+                  gyro_misalignment_std=2e-5, accel_noise_density=0.003 * _PER_ROOT_HOUR,
+                  accel_bias_std=0.05 * _MILLI_G, accel_bias_instability=0.005 * _MILLI_G,
+                  accel_scale_std=5e-5, accel_misalignment_std=2e-5)),
     "tactical": ParkedGrade(
         "tactical-grade sensors (1 deg/h, 0.1 deg/rt-h, 1 mg)",
         ImuErrors(gyro_noise_density=0.1 * _DEG_PER_ROOT_HOUR, gyro_bias_std=1.0 * _DEG_PER_HOUR,
-                  gyro_scale_std=3e-4, gyro_misalignment_std=3e-4,
-                  accel_noise_density=0.03 * _PER_ROOT_HOUR, accel_bias_std=_MILLI_G,
-                  accel_scale_std=3e-4, accel_misalignment_std=3e-4),
-        0.2 * _DEG_PER_HOUR, 0.05 * _MILLI_G),
+                  gyro_bias_instability=0.2 * _DEG_PER_HOUR, gyro_scale_std=3e-4,
+                  gyro_misalignment_std=3e-4, accel_noise_density=0.03 * _PER_ROOT_HOUR,
+                  accel_bias_std=_MILLI_G, accel_bias_instability=0.05 * _MILLI_G,
+                  accel_scale_std=3e-4, accel_misalignment_std=3e-4)),
     "adis": ParkedGrade(
         "an ADIS16488A (0.2 deg/s and 16 mg at turn-on, 5.1 deg/h in the run, 0.26 deg/rt-h)",
-        ImuErrors(gyro_noise_density=0.26 * _DEG_PER_ROOT_HOUR, gyro_bias_std=0.2 * _DEG,
-                  gyro_misalignment_std=0.05 * _DEG, gyro_range=450.0 * _DEG,
-                  accel_noise_density=0.029 * _PER_ROOT_HOUR, accel_bias_std=16.0 * _MILLI_G,
-                  accel_misalignment_std=0.035 * _DEG, accel_range=18e3 * _MILLI_G),
-        5.1 * _DEG_PER_HOUR, 0.07 * _MILLI_G, 1e-4 / (450.0 * _DEG), 1e-3 / (18e3 * _MILLI_G)),
+        _ADIS, 1e-4 / _ADIS.gyro_range, 1e-3 / _ADIS.accel_range),
 }
-"""Name -> sensors. Biases of turn-on and in the run are both there."""
+"""Name -> sensors."""
 
 
 @dataclass(frozen=True)
@@ -168,23 +161,16 @@ def simulate_parked(scenario, *, duration=300.0, imu_rate=100.0, seed=0, latitud
     motion = _parked_motion(scheme, duration, heading, _Sway(duration, disturbance, sway_rng))
     trajectory = Trajectory(scenario, duration, motion, float(normal_gravity(latitude)), latitude)
     sampled = sample_trajectory(trajectory, imu_rate=imu_rate)
-    measured, gyro_bias_b, accel_bias_b = _measure(sampled.imu, grade, 1.0 / imu_rate, noise_rng)
-    at = slice(None, None, max(1, round(_TRUTH_PERIOD * imu_rate)))
-    truth = AttitudeSeries(sampled.truth.stamp_ns[at], sampled.truth.q_nb_wxyz[at])
-    return SimulatedRecording(scenario, measured, truth=truth, gyro_bias_b=gyro_bias_b, accel_bias_b=accel_bias_b,
-                              velocity_n=sampled.velocity_n[at], position_n=sampled.position_n[at],
-                              gravity=sampled.gravity)
-
-
-def _measure(imu, grade, interval, rng):
-    """Return the samples with the errors of a grade, and the true biases in each."""
+    imu = sampled.imu
     curved = ImuSeries(imu.stamp_ns, imu.gyro_b + grade.gyro_curvature * imu.gyro_b ** 2,
                        imu.accel_b + grade.accel_curvature * imu.accel_b ** 2)
-    measured = apply_imu_errors(curved, grade.errors, rng)
-    gyro_flicker, accel_flicker = (flicker_noise(level, interval, len(imu), rng) for level in (
-        grade.gyro_bias_instability, grade.accel_bias_instability))
-    series = ImuSeries(imu.stamp_ns, measured.imu.gyro_b + gyro_flicker, measured.imu.accel_b + accel_flicker)
-    return series, measured.gyro_bias_b + gyro_flicker, measured.accel_bias_b + accel_flicker
+    measured = apply_imu_errors(curved, grade.errors, noise_rng)
+    at = slice(None, None, max(1, round(_TRUTH_PERIOD * imu_rate)))
+    truth = AttitudeSeries(sampled.truth.stamp_ns[at], sampled.truth.q_nb_wxyz[at])
+    return SimulatedRecording(
+        scenario, measured.imu, truth=truth, gyro_bias_b=measured.gyro_bias_b,
+        accel_bias_b=measured.accel_bias_b, velocity_n=sampled.velocity_n[at],
+        position_n=sampled.position_n[at], gravity=sampled.gravity)
 
 
 def _parked_motion(scheme, duration, heading, sway):
@@ -219,7 +205,8 @@ def _turn_rate(scheme, duration):
         rates = [0.0, rate, rate, 0.0]
     elif scheme == "rotating":
         turn = 2 * math.pi / _ROTATION_RATE
-        for rate in itertools.islice(itertools.cycle([_ROTATION_RATE, -_ROTATION_RATE]), math.ceil(duration / turn)):
+        for leg in range(math.ceil(duration / turn)):
+            rate = _ROTATION_RATE * (-1) ** leg
             knots += [knots[-1] + _RAMP, knots[-1] + turn, knots[-1] + turn + _RAMP]
             rates += [rate, rate, 0.0]
     else:
@@ -240,8 +227,8 @@ def _drive(scheme, duration, heading):
         psi, psi_rate, v, v_rate = course(time), course(time, 1), speed(time), speed(time, 1)
         ahead = np.stack([np.cos(psi), np.sin(psi), np.zeros_like(psi)], axis=-1)
         right = np.stack([-np.sin(psi), np.cos(psi), np.zeros_like(psi)], axis=-1)
-        return Motion(roll(time), pitch(time), psi, roll(time, 1), pitch(time, 1), psi_rate, v[..., None] * ahead,
-                      v_rate[..., None] * ahead + (v * psi_rate)[..., None] * right)
+        return Motion(roll(time), pitch(time), psi, roll(time, 1), pitch(time, 1), psi_rate,
+                      v[..., None] * ahead, v_rate[..., None] * ahead + (v * psi_rate)[..., None] * right)
     return motion
 
 
