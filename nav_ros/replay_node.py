@@ -17,8 +17,6 @@ from collections import Counter, deque
 from dataclasses import dataclass
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -31,9 +29,10 @@ from nav_ros.bags import TOPICS, BagError, BagReader
 from nav_ros.messages import IMU, encode_clock
 from nav_ros.parameters import declare_parameters
 from nav_ros.recorded import recorded_messages
+from nav_ros.sensor_loop import init_interruptible, served
 
 CLOCK_PERIOD_NS = 10_000_000
-NAP_NS = 100_000_000  # longest sleep, so that a shutdown is noticed
+NAP_NS = 100_000_000  # longest sleep, so that a pause or the end is noticed
 WAIT_TOLD = 5.0  # s between lines while waiting for subscribers
 SETTLED = 0.2  # s without another subscriber: discovery is over
 FAREWELL = 0.2  # s for the middleware to deliver the last messages
@@ -184,17 +183,16 @@ class ReplayNode(Node):
     def replay(self):
         """Publish everything; return the exit status."""
         if not self._wait_for_subscribers():
-            return 0 if not self.context.ok() else 1
+            return 1
         if self.params.start_paused:
             self.get_logger().info("paused; call ~/start")
         start = None
         first = last = 0
-        while self.context.ok():
+        while True:
             clock_ns = 0
             self._schedule.restart()
             for topic, receive_ns, raw in self._messages():
-                if not self._wait_until_due(receive_ns):
-                    break
+                self._wait_until_due(receive_ns)
                 if start is None:
                     start, first = time.monotonic_ns(), receive_ns
                 if self._clock and receive_ns - clock_ns >= CLOCK_PERIOD_NS:
@@ -229,10 +227,7 @@ class ReplayNode(Node):
 
     def _read_bag(self):
         with BagReader(self.params.bag) as bag:
-            for message in bag.messages(self._senders):
-                if not self.context.ok():
-                    return
-                yield message
+            yield from bag.messages(self._senders)
 
     def _known(self, topic):
         package, _, kind = self._types[topic].split("/")
@@ -264,7 +259,7 @@ class ReplayNode(Node):
             return True
         began = told = settled = time.monotonic()
         counts = None
-        while self.context.ok():
+        while True:
             now = time.monotonic()
             previous, counts = counts, [each.get_subscription_count() for each in self._senders.values()]
             if counts != previous or publisher.get_subscription_count() < wanted:
@@ -279,11 +274,10 @@ class ReplayNode(Node):
                 self.get_logger().info(f"waiting for {wanted} subscriber(s) on {publisher.topic_name}")
                 told = now
             time.sleep(0.01)
-        return False
 
     def _wait_until_due(self, receive_ns):
-        """Sleep until a message is due; return False if the node shuts down meanwhile."""
-        while self.context.ok():
+        """Sleep until a message is due."""
+        while True:
             now_ns = time.monotonic_ns()
             if not self._running.is_set():
                 self._running.wait(NAP_NS * 1e-9)
@@ -291,9 +285,8 @@ class ReplayNode(Node):
                 continue
             left_ns = self._schedule.due_ns(receive_ns, now_ns) - now_ns
             if left_ns <= 0:
-                return True
+                return
             time.sleep(min(left_ns, NAP_NS) * 1e-9)
-        return False
 
     def _send(self, topic, raw):
         if self._window is not None:
@@ -313,13 +306,10 @@ class ReplayNode(Node):
 
     def _finish(self, start, replayed_ns):
         """Wait for the last answers and tell what was done."""
-        if self._window and self.context.ok() and not self._window.wait_for_room(
-                self.params.lockstep_timeout, 1):
+        if self._window and not self._window.wait_for_room(self.params.lockstep_timeout, 1):
             self._window.give_up()
         seconds = max((time.monotonic_ns() - start) * 1e-9, 1e-9)
         time.sleep(FAREWELL)
-        if not self.context.ok():
-            return
         total = sum(self._published.values())
         counts = ", ".join(f"{count} {self._senders[topic].topic_name}"
                            for topic, count in self._published.items())
@@ -346,21 +336,16 @@ class ReplayNode(Node):
 
 def main(arguments=None):
     """Run the node; return its exit status."""
-    rclpy.init(args=arguments)
     node = None
     try:
+        init_interruptible(arguments)
         node = ReplayNode()
         warnings.showwarning = lambda message, *_args, **_kwargs: node.get_logger().warning(str(message))
         return _run(node)
     except (BagError, ValueError, OSError) as error:
         print(f"replay_node: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
-    except (KeyboardInterrupt, ExternalShutdownException):
-        return 0
-    except rclpy_implementation.RCLError:
-        # A signal ended the context between the check and the call.
-        if rclpy.ok():
-            raise
+    except KeyboardInterrupt:
         return 0
     finally:
         if node is not None:
@@ -370,25 +355,11 @@ def main(arguments=None):
 
 def _run(node):
     """Replay in this thread while another one serves calls and answers."""
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    server = threading.Thread(target=_spin, args=(executor,))
-    server.start()
-    try:
+    with served(node):
         status = node.replay()
-        while not node.params.exit_at_end and node.context.ok():
+        while not node.params.exit_at_end:
             time.sleep(NAP_NS * 1e-9)
-        return status
-    finally:
-        executor.shutdown()
-        server.join()
-
-
-def _spin(executor):
-    try:
-        executor.spin()
-    except ExternalShutdownException:
-        return
+    return status
 
 
 def _stamp(raw):

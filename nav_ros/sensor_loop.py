@@ -5,13 +5,17 @@ of an IMU that costs several times the estimate. Here the sensors' subscriptions
 executor gets a turn every :data:`HOUSEKEEPING` seconds for the rest.
 """
 
+import contextlib
+import signal
 import sys
+import threading
 import time
 
 import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
@@ -25,6 +29,22 @@ class SensorGroup(MutuallyExclusiveCallbackGroup):
     def can_execute(self, entity):
         """Whether the executor may serve an entity."""
         return not isinstance(entity, Subscription) and super().can_execute(entity)
+
+
+def init_interruptible(arguments=None):
+    """Initialise ROS so that SIGINT and SIGTERM raise KeyboardInterrupt in the main thread.
+
+    rclpy's own handlers shut the context down from a thread of theirs, under whatever is being published or
+    waited for: now and then that ends in an RCLError or a segmentation fault.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        As of ``rclpy.init``.
+    """
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
 
 
 def run_sensor_node(name, node_class):
@@ -43,7 +63,7 @@ def run_sensor_node(name, node_class):
         Exit status: 0, or 2 after one line about what is wrong with the arguments or parameters.
     """
     try:
-        rclpy.init()
+        init_interruptible()
         others = remove_ros_args(sys.argv)[1:]
         if others:
             raise ValueError(f"unknown argument {others[0]}: parameters and remaps come after --ros-args")
@@ -61,15 +81,39 @@ def run_sensor_node(name, node_class):
         spin_sensors(node, node.sensors)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except rclpy_implementation.RCLError:
-        # A signal may end the context in the middle of a call.
-        if rclpy.ok():
-            raise
     finally:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+@contextlib.contextmanager
+def served(node):
+    """Serve a node's callbacks in a thread of its own while the block runs.
+
+    ``executor.spin`` in a thread would have to be ended from another one, under what it waits for.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    """
+    ended = threading.Event()
+
+    def serve():
+        executor = SingleThreadedExecutor(context=node.context)
+        executor.add_node(node)
+        while not ended.is_set():
+            executor.spin_once(timeout_sec=HOUSEKEEPING)
+        executor.shutdown()
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def spin_sensors(node, sensors):

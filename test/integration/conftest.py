@@ -3,7 +3,6 @@
 import contextlib
 import os
 import subprocess
-import threading
 import time
 from collections import defaultdict
 from pathlib import Path
@@ -15,13 +14,13 @@ pytest.importorskip("rclpy", reason="rclpy is not installed")
 
 import rclpy  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import Imu  # noqa: E402
 
 from nav_ros.demo import free_domain  # noqa: E402
 from nav_ros.messages import ACCEL, GYRO, IMU, StampedEncoder  # noqa: E402
 from nav_ros.resources import executable  # noqa: E402
+from nav_ros.sensor_loop import served  # noqa: E402
 
 LIMIT = 60.0
 """Seconds after which something has gone wrong, on however busy a machine."""
@@ -37,11 +36,16 @@ BURST = 50
 """Samples fed before the last one's answer is awaited, far fewer than the node's queue holds."""
 
 
-def wait_until(condition, what="a condition", limit=LIMIT):
-    """Return the first true value of a function; fail when it does not come."""
+def wait_until(condition, what="a condition", limit=LIMIT, meanwhile=lambda: None):
+    """Return the first true value of a function; fail when it does not come.
+
+    What is published `meanwhile` arrives sooner or later: a publisher is told of a match before the
+    subscriber is, and a best-effort subscriber misses what is sent in between.
+    """
     end = time.monotonic() + limit
     while not (value := condition()):
         assert time.monotonic() < end, f"waited in vain for {what}"
+        meanwhile()
         time.sleep(0.005)
     return value
 
@@ -82,14 +86,10 @@ class Peer:
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=domain)
         self.node = rclpy.create_node("peer", context=self._context, namespace=namespace)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._spin)
-        self._thread.start()
-
-    def _spin(self):
-        with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin()
+        self._cleanup = contextlib.ExitStack()
+        self._cleanup.callback(rclpy.try_shutdown, context=self._context)
+        self._cleanup.callback(self.node.destroy_node)
+        self._cleanup.enter_context(served(self.node))
 
     def hear(self, kind, topic, *, raw=True, reliability=ReliabilityPolicy.RELIABLE, matched=True):
         """Return a list that fills with the messages of a topic, once a publisher is there."""
@@ -115,10 +115,7 @@ class Peer:
         return future.result()
 
     def close(self):
-        self._executor.shutdown()
-        self._thread.join()
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
+        self._cleanup.close()
 
 
 class Feed:
@@ -179,15 +176,15 @@ class Diagnostics:
         return [(array.header.stamp.sec + array.header.stamp.nanosec * 1e-9, array.status[0])
                 for array in list(self._arrays) if array.status[0].name == self._name]
 
-    def wait_for(self, condition, what):
+    def wait_for(self, condition, what, **options):
         """Return the first report from now on that fulfils a condition."""
         seen = len(self.reports)
         return wait_until(lambda: next((status for _, status in self.reports[seen:] if condition(status)),
-                                       None), what)
+                                       None), what, **options)
 
-    def told(self, text):
+    def told(self, text, **options):
         """Return the first report from now on with some text in its message."""
-        return self.wait_for(lambda status: text in status.message, repr(text))
+        return self.wait_for(lambda status: text in status.message, repr(text), **options)
 
     def next(self):
         """Return the first report that is made wholly from now on."""

@@ -6,7 +6,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 
 import pytest
@@ -15,7 +14,6 @@ pytest.importorskip("rclpy", reason="rclpy is not installed")
 
 import rclpy  # noqa: E402
 from geometry_msgs.msg import PointStamped, QuaternionStamped  # noqa: E402
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import Imu  # noqa: E402
@@ -23,6 +21,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 
 from nav_ros.bags import read_messages  # noqa: E402
 from nav_ros.cli import simulate_bag_main  # noqa: E402
+from nav_ros.sensor_loop import served  # noqa: E402
 
 DOMAIN_ID = 41 + os.getpid() % 60
 LIMIT = 20.0
@@ -47,19 +46,15 @@ class Listener:
         for topic, kind in types.items():
             self.node.create_subscription(kind, topic, lambda raw, t=topic: self._hear(t, raw), SENSOR_QOS,
                                           raw=True)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.thread = threading.Thread(target=self._spin)
-        self.thread.start()
+        self.cleanup = contextlib.ExitStack()
+        self.cleanup.callback(rclpy.try_shutdown, context=self.context)
+        self.cleanup.callback(self.node.destroy_node)
+        self.cleanup.enter_context(served(self.node))
 
     def _hear(self, topic, raw):
         self.heard[topic].append(raw)
         if self.answers and topic == "imu/data_raw":
             self.answers.publish(raw)
-
-    def _spin(self):
-        with contextlib.suppress(ExternalShutdownException):
-            self.executor.spin()
 
     def call(self, service):
         client = self.node.create_client(Trigger, service)
@@ -69,10 +64,7 @@ class Listener:
         return future.result()
 
     def close(self):
-        self.executor.shutdown()
-        self.thread.join()
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self.context)
+        self.cleanup.close()
 
 
 def wait_until(condition):
