@@ -10,7 +10,7 @@ demo: ## a flight and a turntable through both nodes over DDS, scored; writes bu
 	@scripts/run study attitude_demo
 
 test: ## the whole test suite
-	@scripts/run study,test python3 -m pytest $(ARGS)
+	@scripts/run study,test python3 -m pytest --numprocesses 2 --dist loadfile $(ARGS)
 
 bench: ## cost of a sample and of a message, beside other filters
 	@scripts/run study,bench python3 -m studies.bench

@@ -50,6 +50,13 @@ def wait_until(condition, what="a condition", limit=LIMIT, meanwhile=lambda: Non
     return value
 
 
+def own_domain():
+    """Return a free ROS domain of this test process' share, so that two never choose the same."""
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    return free_domain(range(1 + worker, 101, workers))
+
+
 class Program:
     """One of the package's programs as it is installed, running."""
 
@@ -200,7 +207,7 @@ class Bench:
     feed, diagnostics = Feed, Diagnostics
 
     def __init__(self, folder):
-        self.domain = free_domain()
+        self.domain = own_domain()
         self._folder = folder
         self._cleanup = contextlib.ExitStack()
         self._starts = defaultdict(int)
@@ -240,6 +247,12 @@ def _kill(process):
     if process.poll() is None:
         process.kill()
         process.wait()
+
+
+@pytest.fixture(scope="session")
+def domain():
+    """Return a ROS domain for all tests of a file."""
+    return own_domain()
 
 
 @pytest.fixture(scope="session")

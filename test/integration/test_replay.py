@@ -23,7 +23,6 @@ from nav_ros.bags import read_messages  # noqa: E402
 from nav_ros.cli import simulate_bag_main  # noqa: E402
 from nav_ros.sensor_loop import served  # noqa: E402
 
-DOMAIN_ID = 41 + os.getpid() % 60
 LIMIT = 20.0
 """Seconds after which something has gone wrong."""
 SECONDS = 2.0
@@ -37,9 +36,9 @@ TOPICS = {"imu/data_raw": Imu, "altitude": PointStamped, "ground_truth/attitude"
 class Listener:
     """A node that keeps the raw messages of some topics and may answer the IMU's."""
 
-    def __init__(self, types, answers=None):
+    def __init__(self, domain, types, answers=None):
         self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=DOMAIN_ID)
+        rclpy.init(context=self.context, domain_id=domain)
         self.node = rclpy.create_node("listener", context=self.context)
         self.heard = {topic: [] for topic in types}
         self.answers = answers and self.node.create_publisher(Imu, answers, 200)
@@ -82,11 +81,11 @@ def bag(tmp_path_factory):
 
 
 @pytest.fixture
-def listen():
+def listen(domain):
     listeners = []
 
     def make(*arguments, **named):
-        listeners.append(Listener(*arguments, **named))
+        listeners.append(Listener(domain, *arguments, **named))
         return listeners[-1]
 
     yield make
@@ -95,12 +94,12 @@ def listen():
 
 
 @pytest.fixture
-def replay():
+def replay(domain):
     children = []
 
     def start(*parameters, arguments=()):
         environment = {name: value for name, value in os.environ.items() if name != "RMW_IMPLEMENTATION"}
-        environment["ROS_DOMAIN_ID"] = str(DOMAIN_ID)
+        environment["ROS_DOMAIN_ID"] = str(domain)
         given = [item for parameter in parameters for item in ("-p", parameter)]
         children.append(subprocess.Popen(
             [sys.executable, "-m", "nav_ros.replay_node", "--ros-args", *given, *arguments], env=environment,
