@@ -10,9 +10,8 @@ Equations: ``docs/attitude.md``. Frames and units: :mod:`inertial`.
 import math
 
 import numpy as np
-from numba import njit
 
-from inertial._kernels import zoh_coefficients
+from inertial._kernels import compiled, zoh_coefficients
 
 
 def _offsets(*sizes):
@@ -130,7 +129,7 @@ AHEAD_LIMIT = 1_000_000_000  # ns that an altitude may be ahead of the IMU
 UNKNOWN_ACCEL_STD = 2.0  # m/s^2, spread of the acceleration while the force is unknown
 
 
-@njit(cache=True)
+@compiled
 def initialise(m):
     """Start blind: no down direction, priors on the biases."""
     m[:ARRAY_SIZE] = 0.0
@@ -145,7 +144,7 @@ def initialise(m):
             m[P + (N + 1) * (BA + i)] = m[P_ACCEL_BIAS_STD] ** 2
 
 
-@njit(cache=True)
+@compiled
 def restart(m, gap):
     """Start blind after a gap (m), but keep what is known of the biases."""
     kept = m[X + BG:X + N].copy()
@@ -168,7 +167,7 @@ def restart(m, gap):
 # --- the default filter -----------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def _carry_covariance(m, r, jv, jh, c, dt, decay):
     """Replace P by F P F^T; r is R^T by rows, c the propagated down direction.
 
@@ -203,7 +202,7 @@ def _carry_covariance(m, r, jv, jh, c, dt, decay):
             m[P + N * j + i] = m[P + N * i + j]
 
 
-@njit(cache=True)
+@compiled
 def _motion(dt, wx, wy, wz, fx, fy, fz):
     """Return R^T by rows, J1 f and J2 f for constant rate and force over dt (attitude.md, 1)."""
     rate2 = wx * wx + wy * wy + wz * wz
@@ -223,7 +222,7 @@ def _motion(dt, wx, wy, wz, fx, fy, fz):
     return r, jv, jh
 
 
-@njit(cache=True)
+@compiled
 def _carry_mean(m, dt, g, r, jv, jh):
     """Carry down direction, velocity and altitude; return the new down direction."""
     c0, c1, c2 = m[X], m[X + 1], m[X + 2]
@@ -235,7 +234,7 @@ def _carry_mean(m, dt, g, r, jv, jh):
     return m[X], m[X + 1], m[X + 2]
 
 
-@njit(cache=True)
+@compiled
 def row_predict(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
     """Carry the default filter over dt (s) of constant rate and force, biases not yet removed.
 
@@ -268,7 +267,7 @@ def row_predict(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
     return r, c
 
 
-@njit(cache=True)
+@compiled
 def _add_multiplicative_noise(m, n, c, q_angle, q_vd):
     """Add the covariance of G(x) w: with M = c c^T + Pcc, q (tr M I - M) on c and q tr M on vd."""
     trace = (m[P] + m[P + n + 1] + m[P + 2 * (n + 1)] + c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
@@ -279,7 +278,7 @@ def _add_multiplicative_noise(m, n, c, q_angle, q_vd):
     m[P + (n + 1) * VD] += q_vd * trace
 
 
-@njit(cache=True)
+@compiled
 def _rotate(m, at, stride, r, keep):
     """Replace the vector whose components lie `stride` apart by keep R^T times it."""
     v0, v1, v2 = keep * m[at], keep * m[at + stride], keep * m[at + 2 * stride]
@@ -288,7 +287,7 @@ def _rotate(m, at, stride, r, keep):
     m[at + 2 * stride] = r[6] * v0 + r[7] * v1 + r[8] * v2
 
 
-@njit(cache=True)
+@compiled
 def _carry_gravity(m, dt, r, c, fx, fy, fz, force_known):
     """Low-pass the raw force in the frame that the gyro carries, with its exact sensitivities."""
     gain = max(dt / (m[P_GRAVITY_TIME] + dt), min(1.0, dt / m[ELAPSED])) if force_known else 0.0
@@ -314,7 +313,7 @@ def _carry_gravity(m, dt, r, c, fx, fy, fz, force_known):
     m[GRAVITY + 2] += gain * fz
 
 
-@njit(cache=True)
+@compiled
 def _row_update(m, variance, innovation, share):
     """Scalar Kalman update by the covariances in PH; the accelerometer bias takes `share` of its gain.
 
@@ -341,7 +340,7 @@ def _row_update(m, variance, innovation, share):
             m[P + N * i + j] -= both * k * m[PH + j]
 
 
-@njit(cache=True)
+@compiled
 def _project_rows(m, n, u, inv):
     """Replace the first three rows of P by (I - u u^T) inv times them."""
     for j in range(n):
@@ -352,7 +351,7 @@ def _project_rows(m, n, u, inv):
         m[P + 2 * n + j] = inv * (c2 - u[2] * along)
 
 
-@njit(cache=True)
+@compiled
 def _normalise(m, n):
     """Once the direction is known, bring it to unit length and P to its tangent plane."""
     trace = m[P] + m[P + n + 1] + m[P + 2 * (n + 1)]
@@ -378,7 +377,7 @@ def _normalise(m, n):
     _level_north(m)
 
 
-@njit(cache=True)
+@compiled
 def _level_north(m):
     """Keep the yaw's zero level; where an attitude is first known the nose points east (REP-103)."""
     if m[ATTITUDE] == 0.0:
@@ -396,7 +395,7 @@ def _level_north(m):
         m[NORTH + i] /= math.sqrt(norm2)
 
 
-@njit(cache=True)
+@compiled
 def _expected_residual(m):
     """Squared gravity residual, (m/s^2)^2, that errors of tilt and accelerometer bias explain."""
     tilt = m[P] + m[P + N + 1] + m[P + 2 * (N + 1)]
@@ -406,7 +405,7 @@ def _expected_residual(m):
     return m[P_GRAVITY] ** 2 * tilt + bias
 
 
-@njit(cache=True)
+@compiled
 def _gravity_variance(m, elapsed):
     """Variance of one gravity component: how much the low-passed force may be acceleration."""
     g, t = m[P_GRAVITY], m[ELAPSED]
@@ -430,7 +429,7 @@ def _gravity_variance(m, elapsed):
     return variance * max(1.0, m[P_CORRELATION] * min(m[P_GRAVITY_TIME], t) / elapsed)
 
 
-@njit(cache=True)
+@compiled
 def row_gravity_update(m, elapsed):
     """Three scalar updates with the low-passed force; `elapsed` s since the last ones."""
     g = m[P_GRAVITY]
@@ -456,7 +455,7 @@ def row_gravity_update(m, elapsed):
     _normalise(m, N)
 
 
-@njit(cache=True)
+@compiled
 def _rest_update(m, elapsed):
     """At rest the low-passed gyro is its bias; a component 4 sigma off is left out."""
     noise = m[P_REST_GYRO_STD] ** 2 * max(1.0, 1.0 / elapsed)
@@ -469,7 +468,7 @@ def _rest_update(m, elapsed):
             _row_update(m, variance, y, 1.0)
 
 
-@njit(cache=True)
+@compiled
 def row_altitude_update(m, z, message_var, age):
     """One altitude z (m, up), valid `age` s before the state; message_var m^2 counts when > 0."""
     noise = message_var if message_var > 0.0 else m[P_ALT_STD] ** 2
@@ -490,7 +489,7 @@ def row_altitude_update(m, z, message_var, age):
     _normalise(m, N)
 
 
-@njit(cache=True)
+@compiled
 def _learn_altimeter(m, z, noise):
     """Learn the white noise from second differences and the resolution from the smallest step."""
     step = abs(z - m[ALT_LAST])
@@ -502,7 +501,7 @@ def _learn_altimeter(m, z, noise):
         m[ALT_SPREAD] += max(0.02, 1.0 / m[ALT_COUNT]) * (capped - m[ALT_SPREAD])
 
 
-@njit(cache=True)
+@compiled
 def _open_reference(m, y, variance):
     """Variance that the height reference gets for a jump, m^2; -1 when the altitude has to wait."""
     y2 = y * y
@@ -523,7 +522,7 @@ def _open_reference(m, y, variance):
 # --- the paper's filter -----------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def _transition5(m, r, jv, jh, dt):
     """Replace the covariance by F times it."""
     for j in range(P, P + N5):
@@ -535,7 +534,7 @@ def _transition5(m, r, jv, jh, dt):
         m[j + ALT * N5] -= dt * v + jh[0] * c0 + jh[1] * c1 + jh[2] * c2
 
 
-@njit(cache=True)
+@compiled
 def row5_predict(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
     """Carry the paper's filter over dt (s) of constant rate and force (equations 26 to 31)."""
     down_rate = m[P_EARTH_RATE_DOWN]
@@ -555,7 +554,7 @@ def row5_predict(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
     return r, c
 
 
-@njit(cache=True)
+@compiled
 def row5_altitude_update(m, z, message_var, age):
     """One altitude z (m, up), valid `age` s before the state; message_var m^2 counts when > 0."""
     delay = m[P_ALT_DELAY] + age
@@ -576,7 +575,7 @@ def row5_altitude_update(m, z, message_var, age):
 # --- a sample, whatever the model -------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def _track(m, dt, wx, wy, wz, fx, fy, fz):
     """Follow the sample's low-pass and spread, and how long the body has been at rest."""
     gain = max(dt / (LOWPASS_TIME + dt), min(1.0, dt / m[ELAPSED]))
@@ -602,7 +601,7 @@ def _track(m, dt, wx, wy, wz, fx, fy, fz):
     m[REST] = m[REST] + dt if still else 0.0
 
 
-@njit(cache=True)
+@compiled
 def imu_step(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, force_known):
     """One checked sample: the mean over the dt (s) before its stamp; rad/s and m/s^2, FRD."""
     m[ELAPSED] += dt
@@ -629,7 +628,7 @@ def imu_step(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, force_known):
         _forget_vertical(m)
 
 
-@njit(cache=True)
+@compiled
 def _grow_yaw(m, dt):
     """Nothing measures the yaw: its spread grows with the bias about the vertical and the noise."""
     bias_var = 0.0
@@ -641,7 +640,7 @@ def _grow_yaw(m, dt):
     m[YAW_VAR] += dt * m[P_GYRO_NOISE] ** 2
 
 
-@njit(cache=True)
+@compiled
 def _forget_vertical(m):
     """Without an altimeter the vertical channel drifts away: start it anew, uncorrelated."""
     n = N if m[P_MODEL] == 0.0 else N5
@@ -655,7 +654,7 @@ def _forget_vertical(m):
     m[ALT_COUNT] = 0.0
 
 
-@njit(cache=True)
+@compiled
 def altitude_step(m, z, message_var, age):
     """One finite altitude; the first one is the height to start from."""
     n = N if m[P_MODEL] == 0.0 else N5
@@ -675,7 +674,7 @@ def altitude_step(m, z, message_var, age):
     m[SINCE_ALT] = 0.0
 
 
-@njit(cache=True)
+@compiled
 def write_output(m, out):
     """Fill one row of output from the state."""
     n = N if m[P_MODEL] == 0.0 else N5
@@ -720,7 +719,7 @@ def write_output(m, out):
         out[OUT_ACCEL + i] = m[ACCEL + i] - ba
 
 
-@njit(cache=True)
+@compiled
 def _write_quaternion(out, a, e, d):
     """Quaternion (w first) of the matrix with rows a, e, d, by the largest component (Shepperd)."""
     trace = a[0] + e[1] + d[2]
@@ -744,35 +743,35 @@ def _write_quaternion(out, a, e, d):
 # --- checks and the time buffer ---------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def _integers(m):
     return m[M_INTS:M_ALTITUDES].view(np.int64)
 
 
-@njit(cache=True)
+@compiled
 def reset(m):
     """Forget everything but the counters."""
     initialise(m)
     _forget_history(_integers(m))
 
 
-@njit(cache=True)
+@compiled
 def declare_attitude(m):
     """Take the down direction in the state as an attitude."""
     _level_north(m)
 
 
-@njit(cache=True)
+@compiled
 def _forget_history(ints):
     ints[:I_COUNTS] = 0
     ints[I_HEAD] = -1  # so that the first sample has a snapshot
 
 
-@njit(cache=True)
+@compiled
 def _largest(ints, not_finite, out_of_range, limit, x, y, z):
     """Return the largest component of one vector of a sample, or -1 and count what is wrong with it."""
     largest = max(abs(x), abs(y), abs(z))
-    if not math.isfinite(x + y + z):
+    if not abs(x + y + z) < math.inf:
         ints[I_COUNTS + not_finite] += 1
         return -1.0
     if largest > (2.0 - CLIP_SHARE) * limit:
@@ -781,7 +780,7 @@ def _largest(ints, not_finite, out_of_range, limit, x, y, z):
     return largest
 
 
-@njit(cache=True)
+@compiled
 def _suspicion(m, ints, dt, wx, wy, wz, fx, fy, fz, largest_rate, largest_force):
     """Variances (rad^2, m^2/s^2) that a stuck or clipped sample adds."""
     same = (wx == m[GYRO] and wy == m[GYRO + 1] and wz == m[GYRO + 2]
@@ -801,7 +800,7 @@ def _suspicion(m, ints, dt, wx, wy, wz, fx, fy, fz, largest_rate, largest_force)
     return gyro_var, accel_var
 
 
-@njit(cache=True)
+@compiled
 def _remember(m, ints, stamp, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, known):
     """Write a sample into the next row of history."""
     head = (ints[I_HEAD] + 1) % HISTORY
@@ -818,7 +817,7 @@ def _remember(m, ints, stamp, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, k
     m[row + H_KNOWN] = 1.0 if known else 0.0
 
 
-@njit(cache=True)
+@compiled
 def _keep_state(m, head):
     """Keep the state after the remembered sample with this index, if it is one of those to keep."""
     if head % SNAPSHOTS == 0:
@@ -827,7 +826,7 @@ def _keep_state(m, head):
             m[snapshot + k] = m[k]
 
 
-@njit(cache=True)
+@compiled
 def _start(m, ints, stamp, wx, wy, wz, fx, fy, fz):
     """Set the clock by the first good sample; altitudes back to one buffer before it count."""
     for first in (GYRO, GYRO_LP):
@@ -840,7 +839,7 @@ def _start(m, ints, stamp, wx, wy, wz, fx, fy, fz):
     ints[I_LAST_STAMP] = stamp
 
 
-@njit(cache=True)
+@compiled
 def _take_imu(m, ints, stamp, wx, wy, wz, fx, fy, fz):
     """Check a sample whose stamp (ns) is later than the last one, and step over it.
 
@@ -882,7 +881,7 @@ def _take_imu(m, ints, stamp, wx, wy, wz, fx, fy, fz):
     return True
 
 
-@njit(cache=True)
+@compiled
 def _advance(m, ints, head):
     """Step over a remembered sample, apply the altitudes up to its stamp, keep the state."""
     row = M_HISTORY + head * H_SIZE
@@ -894,7 +893,7 @@ def _advance(m, ints, head):
     _keep_state(m, head)
 
 
-@njit(cache=True)
+@compiled
 def _apply_altitudes(m, ints, stamp):
     """Apply the remembered altitudes that are due at the stamp of the state."""
     while ints[I_NEXT] < ints[I_ALTITUDES] and ints[I_ALT_STAMPS + ints[I_NEXT]] <= stamp:
@@ -904,14 +903,14 @@ def _apply_altitudes(m, ints, stamp):
         ints[I_NEXT] += 1
 
 
-@njit(cache=True)
+@compiled
 def _take_altitude(m, ints, stamp, z, message_var):
     """Put an altitude where it belongs in time; return whether it counts.
 
     One that is ahead of the IMU waits for it; a late one takes the filter back to its stamp and
     steps over the remembered samples again.
     """
-    if not math.isfinite(z):
+    if not abs(z) < math.inf:
         ints[I_COUNTS + F_ALT_NOT_FINITE] += 1
         return False
     if ints[I_STORED] > 0 and stamp > ints[I_LAST_STAMP] + AHEAD_LIMIT:
@@ -940,7 +939,7 @@ def _take_altitude(m, ints, stamp, z, message_var):
     return True
 
 
-@njit(cache=True)
+@compiled
 def _samples_since(ints, stamp):
     """How many remembered samples are at or after the stamp."""
     back = 0
@@ -949,7 +948,7 @@ def _samples_since(ints, stamp):
     return back
 
 
-@njit(cache=True)
+@compiled
 def _insert_altitude(m, ints, place, stamp, z, message_var):
     """Put an altitude among the remembered ones; a full memory loses its older half."""
     if ints[I_ALTITUDES] == ALTITUDES:
@@ -967,14 +966,14 @@ def _insert_altitude(m, ints, place, stamp, z, message_var):
     ints[I_ALTITUDES] += 1
 
 
-@njit(cache=True)
+@compiled
 def _move_altitude(m, ints, source, target):
     ints[I_ALT_STAMPS + target] = ints[I_ALT_STAMPS + source]
     m[M_ALTITUDES + 2 * target] = m[M_ALTITUDES + 2 * source]
     m[M_ALTITUDES + 2 * target + 1] = m[M_ALTITUDES + 2 * source + 1]
 
 
-@njit(cache=True)
+@compiled
 def _rewind(m, ints, back):
     """Go back before the last `back` samples and step over them again."""
     held, stuck = m[HELD], m[STUCK]
@@ -993,7 +992,7 @@ def _rewind(m, ints, back):
 # --- from Python ------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def push_imu(m, stamp, gyro_b, accel_b):
     """Take one sample as it comes; the output row is in the memory where FRESH is returned."""
     ints = _integers(m)
@@ -1005,13 +1004,13 @@ def push_imu(m, stamp, gyro_b, accel_b):
     return FRESH
 
 
-@njit(cache=True)
+@compiled
 def push_altitude(m, stamp, z, message_var):
     """Take one altitude (m, up) at its stamp (ns); return whether it counts."""
     return _take_altitude(m, _integers(m), stamp, z, message_var)
 
 
-@njit(cache=True)
+@compiled
 def run(m, stamps, gyro_b, accel_b, actions, alt_stamps, alt_values, alt_vars, arrival, out, fresh):
     """Feed a recording in recorded order; rows of `out` are filled where `fresh` becomes True.
 

@@ -10,9 +10,8 @@ integrated gyro. Equations: ``docs/attitude.md``. Frames and units: :mod:`inerti
 import math
 
 import numpy as np
-from numba import njit
 
-from inertial._kernels import zoh_coefficients
+from inertial._kernels import compiled, zoh_coefficients
 from inertial.rotation import zoh_integrals
 
 MODELS = ("dcm_row5_gamma", "euler_ukf", "euler_ukf_first_order", "euler_ekf", "euler_ekf_first_order",
@@ -68,7 +67,7 @@ FREE_FALL_SHARE = 0.5  # of gravity, below which a force shows no direction
 AHEAD_LIMIT = 1_000_000_000  # ns
 
 
-@njit(cache=True)
+@compiled
 def size_of(model):
     """Number of states of the model; 0 for those without a covariance."""
     if model == GAMMA:
@@ -78,33 +77,33 @@ def size_of(model):
     return 6 if model == QUATERNION_EKF else 0
 
 
-@njit(cache=True)
+@compiled
 def _state(m, n):
     return m[X:X + n], m[P:P + n * n].reshape(n, n)
 
 
-@njit(cache=True)
+@compiled
 def _vector(m, at):
     return m[at], m[at + 1], m[at + 2]
 
 
-@njit(cache=True)
+@compiled
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True)
+@compiled
 def _cross(a, b):
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@njit(cache=True)
+@compiled
 def _unit(v):
     inv = 1.0 / math.sqrt(_dot(v, v))
     return inv * v[0], inv * v[1], inv * v[2]
 
 
-@njit(cache=True)
+@compiled
 def carry_direction(c, w, dt):
     """Carry a direction that is fixed in space, seen in body axes, over dt of constant rate w."""
     first, second, _, _ = zoh_coefficients(math.sqrt(_dot(w, w)) * dt)
@@ -115,7 +114,7 @@ def carry_direction(c, w, dt):
             c[2] + a * turned[2] + b * twice[2])
 
 
-@njit(cache=True)
+@compiled
 def _carry(F, p):
     """Replace the covariance by F P F^T."""
     n = len(F)
@@ -137,7 +136,7 @@ def _carry(F, p):
 # --- Euler angles: equations 4, 24, 25 --------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def _tangent(sine, cosine):
     """Tangent of the pitch, kept finite at +-90 deg."""
     if abs(cosine) < SMALLEST_COSINE:
@@ -145,7 +144,7 @@ def _tangent(sine, cosine):
     return sine / cosine
 
 
-@njit(cache=True)
+@compiled
 def euler_rates(x, w, f, g):
     """Time derivatives of roll, pitch, velocity down and altitude."""
     sr, cr, sp, cp = math.sin(x[0]), math.cos(x[0]), math.sin(x[1]), math.cos(x[1])
@@ -153,7 +152,7 @@ def euler_rates(x, w, f, g):
             -sp * f[0] + cp * (sr * f[1] + cr * f[2]) + g, -x[2])
 
 
-@njit(cache=True)
+@compiled
 def euler_jacobian(x, w, f):
     """Derivative of :func:`euler_rates` with respect to the state, (4, 4)."""
     sr, cr, sp, cp = math.sin(x[0]), math.cos(x[0]), math.sin(x[1]), math.cos(x[1])
@@ -168,12 +167,12 @@ def euler_jacobian(x, w, f):
     return A
 
 
-@njit(cache=True)
+@compiled
 def _moved(x, dt, rates):
     return (x[0] + dt * rates[0], x[1] + dt * rates[1], x[2] + dt * rates[2], x[3] + dt * rates[3])
 
 
-@njit(cache=True)
+@compiled
 def euler_step(x, w, f, g, dt, first_order):
     """Return the state after dt (s) of constant rate and force: one Euler or one Runge-Kutta step."""
     k1 = euler_rates(x, w, f, g)
@@ -187,14 +186,14 @@ def euler_step(x, w, f, g, dt, first_order):
     return _moved(x, dt / 6.0, mean)
 
 
-@njit(cache=True)
+@compiled
 def _add_euler_noise(p, pitch, q_angle, q_vd):
     p[0, 0] += q_angle * (1.0 + _tangent(math.sin(pitch), math.cos(pitch)) ** 2)
     p[1, 1] += q_angle
     p[2, 2] += q_vd
 
 
-@njit(cache=True)
+@compiled
 def euler_ekf_predict(x, p, w, f, g, dt, q_angle, q_vd, first_order):
     """Carry the extended Kalman filter over dt."""
     F = euler_jacobian((x[0], x[1], x[2], x[3]), w, f)
@@ -207,7 +206,7 @@ def euler_ekf_predict(x, p, w, f, g, dt, q_angle, q_vd, first_order):
     _add_euler_noise(p, x[1], q_angle, q_vd)
 
 
-@njit(cache=True)
+@compiled
 def _fill_cholesky(p, L):
     """Fill the lower factor of p; False where p has a negative eigenvalue."""
     n = len(p)
@@ -225,7 +224,7 @@ def _fill_cholesky(p, L):
     return True
 
 
-@njit(cache=True)
+@compiled
 def euler_ukf_predict(x, p, w, f, g, dt, q_angle, q_vd, first_order):
     """Carry the unscented filter over dt: eight points at mean +- sqrt(4) columns of the factor.
 
@@ -260,14 +259,14 @@ def euler_ukf_predict(x, p, w, f, g, dt, q_angle, q_vd, first_order):
 # --- quaternion: equations 5, 6, 24, 25 -------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def quaternion_down(q):
     """Down direction in body axes of a quaternion; as long as the quaternion's squared norm."""
     return (2.0 * (q[1] * q[3] - q[0] * q[2]), 2.0 * (q[2] * q[3] + q[0] * q[1]),
             q[0] * q[0] - q[1] * q[1] - q[2] * q[2] + q[3] * q[3])
 
 
-@njit(cache=True)
+@compiled
 def _down_jacobian(q):
     """Derivative of :func:`quaternion_down`, (3, 4)."""
     J = np.empty((3, 4))
@@ -277,7 +276,7 @@ def _down_jacobian(q):
     return J
 
 
-@njit(cache=True)
+@compiled
 def _multiply(a, b):
     """Hamilton product."""
     return (a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
@@ -286,7 +285,7 @@ def _multiply(a, b):
             a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0])
 
 
-@njit(cache=True)
+@compiled
 def _turn(w, dt):
     """Quaternion of the rotation by w dt."""
     half = 0.5 * dt * math.sqrt(_dot(w, w))
@@ -294,7 +293,7 @@ def _turn(w, dt):
     return math.cos(half), s * w[0], s * w[1], s * w[2]
 
 
-@njit(cache=True)
+@compiled
 def quaternion_step(x, w, f, g, dt):
     """Return quaternion, velocity and altitude after dt of constant rate and force, and the Jacobian."""
     q = (x[0], x[1], x[2], x[3])
@@ -322,7 +321,7 @@ def quaternion_step(x, w, f, g, dt):
     return after, F
 
 
-@njit(cache=True)
+@compiled
 def quaternion_ekf_predict(x, p, w, f, g, dt, q_angle, q_vd):
     """Carry the quaternion filter over dt."""
     after, F = quaternion_step(x, w, f, g, dt)
@@ -338,7 +337,7 @@ def quaternion_ekf_predict(x, p, w, f, g, dt, q_angle, q_vd):
     p[4, 4] += q_vd
 
 
-@njit(cache=True)
+@compiled
 def _normalise_quaternion(x, p):
     """Bring the quaternion to unit length and the covariance to its tangent space."""
     norm = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2] + x[3] * x[3])
@@ -354,7 +353,7 @@ def _normalise_quaternion(x, p):
 # --- the linear filter with the paper's k gamma: equations 14, 15, 26 to 31 --------------------------
 
 
-@njit(cache=True)
+@compiled
 def gamma_predict(x, p, w, f, g, dt, q_angle, q_vd, norm_gain):
     """Carry the linear filter over dt; the norm is held by ``k gamma`` alone."""
     grown = 1.0 + norm_gain * dt * (1.0 - x[0] * x[0] - x[1] * x[1] - x[2] * x[2])
@@ -385,7 +384,7 @@ def gamma_predict(x, p, w, f, g, dt, q_angle, q_vd, norm_gain):
 # --- schemes without a covariance -------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def complementary_step(m, w, f, dt):
     """Figure 1 on the sphere: proportional and integral turn towards the accelerometer's down direction."""
     k_i = m[P_FREQUENCY] ** 2
@@ -401,7 +400,7 @@ def complementary_step(m, w, f, dt):
     return carry_direction(c, w, dt)
 
 
-@njit(cache=True)
+@compiled
 def complementary_literal_step(m, w, f, dt):
     """Equation 18 as printed: ``c_m - c_g`` is a low-pass of ``c_a - c_g``, component by component.
 
@@ -425,7 +424,7 @@ def complementary_literal_step(m, w, f, dt):
     return _unit(c)
 
 
-@njit(cache=True)
+@compiled
 def levelling_step(m, f):
     """Equations 10 and 11: the force shows down where its size is that of gravity; otherwise hold."""
     norm = math.sqrt(_dot(f, f))
@@ -437,7 +436,7 @@ def levelling_step(m, f):
 # --- a sample, whatever the model -------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def start(m, ints, down, tilt_var):
     """Begin at a down direction (unit) with this variance of its angle; the nose points east."""
     model = ints[I_MODEL]
@@ -465,7 +464,7 @@ def start(m, ints, down, tilt_var):
     _show(m, model, n)
 
 
-@njit(cache=True)
+@compiled
 def _start_attitude(x, p, model, q, down, axis_var):
     if model == GAMMA:
         for i in range(3):
@@ -490,7 +489,7 @@ def _start_attitude(x, p, model, q, down, axis_var):
         _add_euler_noise(p, x[1], axis_var, 0.0)
 
 
-@njit(cache=True)
+@compiled
 def predict(m, ints, w, f, dt):
     """Carry the model over dt; False where its covariance is none any more."""
     model = ints[I_MODEL]
@@ -517,7 +516,7 @@ def predict(m, ints, w, f, dt):
     return sound
 
 
-@njit(cache=True)
+@compiled
 def _carried_down(m, model, w, f, dt):
     """Down direction of a method without a covariance."""
     if model == COMPLEMENTARY:
@@ -533,17 +532,17 @@ def _carried_down(m, model, w, f, dt):
     return _euler_down(m[AUXILIARY], m[AUXILIARY + 1])
 
 
-@njit(cache=True)
+@compiled
 def _wrapped(angle):
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-@njit(cache=True)
+@compiled
 def _euler_down(roll, pitch):
     return -math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch)
 
 
-@njit(cache=True)
+@compiled
 def update(m, ints, z, variance, age):
     """One altitude z (m, up) that was valid `age` s before the state: z = h + age vd."""
     model = ints[I_MODEL]
@@ -564,16 +563,16 @@ def update(m, ints, z, variance, age):
         _normalise_quaternion(x, p)
 
 
-@njit(cache=True)
+@compiled
 def _sound(x, p):
     """Whether mean and variances are finite and not negative."""
     sound = True
     for i in range(len(x)):
-        sound &= math.isfinite(x[i]) and 0.0 <= p[i, i] < LARGEST_VARIANCE
+        sound &= abs(x[i]) < math.inf and 0.0 <= p[i, i] < LARGEST_VARIANCE
     return sound
 
 
-@njit(cache=True)
+@compiled
 def _show(m, model, n):
     """Bring the down direction, its covariance and the quaternion in line with the states."""
     if n > 0:
@@ -593,7 +592,7 @@ def _show(m, model, n):
     _align(m)
 
 
-@njit(cache=True)
+@compiled
 def _euler_down_jacobian(roll, pitch):
     sr, cr, sp, cp = math.sin(roll), math.cos(roll), math.sin(pitch), math.cos(pitch)
     J = np.zeros((3, 2))
@@ -602,7 +601,7 @@ def _euler_down_jacobian(roll, pitch):
     return J
 
 
-@njit(cache=True)
+@compiled
 def _fill_down_covariance(m, J, p):
     for i in range(3):
         for j in range(3):
@@ -613,7 +612,7 @@ def _fill_down_covariance(m, J, p):
             m[DOWN_COV + 3 * i + j] = total
 
 
-@njit(cache=True)
+@compiled
 def _align(m):
     """Turn Q the shortest way so that its down axis is DOWN."""
     q = (m[Q], m[Q + 1], m[Q + 2], m[Q + 3])
@@ -629,7 +628,7 @@ def _align(m):
         m[Q + i] = inv * q[i]
 
 
-@njit(cache=True)
+@compiled
 def write_row(m, ints, row):
     """Fill one row of output."""
     model = ints[I_MODEL]
@@ -657,7 +656,7 @@ def write_row(m, ints, row):
         row[R_TILT_COV + 1] = 0.0
 
 
-@njit(cache=True)
+@compiled
 def _write_tilt_covariance(m, row):
     """Covariance of the turns about the estimate's own north and east axes."""
     w, x, y, z = m[Q], m[Q + 1], m[Q + 2], m[Q + 3]
@@ -676,16 +675,16 @@ def _write_tilt_covariance(m, row):
 # --- checks, from Python ----------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def reset(m, ints):
     """Forget everything but parameters and counters."""
     m[:PARAMETERS] = 0.0
     ints[I_LAST_STAMP:I_COUNTS] = 0
 
 
-@njit(cache=True)
+@compiled
 def _vector_ok(ints, not_finite, out_of_range, limit, v):
-    if not (math.isfinite(v[0]) and math.isfinite(v[1]) and math.isfinite(v[2])):
+    if not abs(v[0] + v[1] + v[2]) < math.inf:
         ints[I_COUNTS + not_finite] += 1
         return False
     if max(abs(v[0]), abs(v[1]), abs(v[2])) > 1.002 * limit:
@@ -694,7 +693,7 @@ def _vector_ok(ints, not_finite, out_of_range, limit, v):
     return True
 
 
-@njit(cache=True)
+@compiled
 def push_imu(m, ints, stamp, gyro_b, accel_b):
     """Take one sample; FRESH where there is a new estimate."""
     if ints[I_CLOCK] == 1 and stamp <= ints[I_LAST_STAMP]:
@@ -723,7 +722,7 @@ def push_imu(m, ints, stamp, gyro_b, accel_b):
     return FRESH
 
 
-@njit(cache=True)
+@compiled
 def _settled(m, ints):
     """Bring the output in line with the states, if they are sound."""
     model = ints[I_MODEL]
@@ -736,13 +735,13 @@ def _settled(m, ints):
     return True
 
 
-@njit(cache=True)
+@compiled
 def _give_up(ints):
     ints[I_COUNTS + F_RESTARTED] += 1
     ints[I_ATTITUDE] = 0
 
 
-@njit(cache=True)
+@compiled
 def _level(m, ints):
     """Start at the attitude that the last force shows, if it is large enough to be gravity's."""
     f = _vector(m, FORCE)
@@ -752,10 +751,10 @@ def _level(m, ints):
     return FRESH
 
 
-@njit(cache=True)
+@compiled
 def push_altitude(m, ints, stamp, z, message_var):
     """Take one altitude (m, up) in order of arrival, with its age; return whether it counts."""
-    if not math.isfinite(z):
+    if not abs(z) < math.inf:
         ints[I_COUNTS + F_ALT_NOT_FINITE] += 1
         return False
     age = (ints[I_LAST_STAMP] - stamp) * 1e-9 if ints[I_CLOCK] == 1 else 0.0
@@ -781,7 +780,7 @@ def push_altitude(m, ints, stamp, z, message_var):
     return True
 
 
-@njit(cache=True)
+@compiled
 def run(m, ints, stamps, gyro_b, accel_b, actions, alt_stamps, alt_values, alt_vars, arrival, rows, fresh):
     """Feed a recording in recorded order; rows are filled where `fresh` becomes True.
 

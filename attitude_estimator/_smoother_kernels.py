@@ -7,15 +7,15 @@ gyro and accelerometer. How the filter keeps its own state is not known here.
 import math
 
 import numpy as np
-from numba import njit
 
+from inertial._kernels import compiled
 from inertial.rotation import fill_zoh_integrals
 
 N = 11
 VD, ALT, BG, BA = 3, 4, 5, 8
 
 
-@njit(cache=True)
+@compiled
 def smooth_back(before_x, before_P, before_known, predicted_x, predicted_P, keeps, dt, samples,
                 gravity, earth_rate_down, accel_bias_time, lost_trace, x, P, known, out_x, out_P, out_known):
     """Go back over n steps from the smoothed state after the last of them.
@@ -71,7 +71,7 @@ def smooth_back(before_x, before_P, before_known, predicted_x, predicted_P, keep
     return known
 
 
-@njit(cache=True)
+@compiled
 def _motion(x, sample, dt, earth_rate_down, R, jv, jh):
     """Write R, J1 f and J2 f of a sample without the state's biases."""
     rate, J1, J2 = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
@@ -86,7 +86,7 @@ def _motion(x, sample, dt, earth_rate_down, R, jv, jh):
             jh[i] += J2[i, j] * force
 
 
-@njit(cache=True)
+@compiled
 def _transition(x, R, jv, jh, dt, accel_bias_time, F):
     """Write the filter's F."""
     for i in range(N):
@@ -106,7 +106,7 @@ def _transition(x, R, jv, jh, dt, accel_bias_time, F):
     F[ALT, VD] = -dt
 
 
-@njit(cache=True)
+@compiled
 def _smooth(before_x, before_P, before_known, predicted_x, predicted_P, cross, keeps, work, x, P):
     """Rauch, Tung and Striebel's step; `cross` is the covariance of the states before and predicted."""
     _copy(predicted_P, work)
@@ -136,7 +136,7 @@ def _smooth(before_x, before_P, before_known, predicted_x, predicted_P, cross, k
         x[i] = work[0, i] / norm if i < VD else work[0, i]
 
 
-@njit(cache=True)
+@compiled
 def _carry_back(noise, R, jv, jh, dt, gravity, inverse, work, x, P):
     """Carry the state back by the model alone, where the filter had no attitude to linearise about."""
     for i in range(N):
@@ -163,7 +163,7 @@ def _carry_back(noise, R, jv, jh, dt, gravity, inverse, work, x, P):
     x[ALT] += dt * x[VD] + jh[0] * x[0] + jh[1] * x[1] + jh[2] * x[2] + 0.5 * dt * dt * gravity
 
 
-@njit(cache=True)
+@compiled
 def carry_heading(down, gyro_b, bias_variance, known, starts, dt, noise_density, north, yaw_variance):
     """Integrate the gyro about the down direction, forward; the nose points east where it starts.
 
@@ -204,14 +204,14 @@ def carry_heading(down, gyro_b, bias_variance, known, starts, dt, noise_density,
         yaw_variance[k] = bias_std**2 + noise_var
 
 
-@njit(cache=True)
+@compiled
 def _copy(A, out):
     for i in range(N):
         for j in range(N):
             out[i, j] = A[i, j]
 
 
-@njit(cache=True)
+@compiled
 def _times(A, B, out):
     """Write ``A B``."""
     for i in range(N):
@@ -222,7 +222,7 @@ def _times(A, B, out):
                 out[i, j] += A[i, k] * B[k, j]
 
 
-@njit(cache=True)
+@compiled
 def _times_transposed(A, B, out):
     """Write ``A B^T``."""
     for i in range(N):
@@ -233,7 +233,7 @@ def _times_transposed(A, B, out):
             out[i, j] = total
 
 
-@njit(cache=True)
+@compiled
 def _divide(B, S):
     """Replace B by ``B S^-1`` for a symmetric positive definite S, and S by its Cholesky factor."""
     for i in range(N):

@@ -13,6 +13,13 @@ _SERIES_ANGLE = 2.0
 # Below it five terms do.
 _SMALL_ANGLE = 0.25
 
+compiled = njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
+"""Decorator of an estimator's kernel: sums in any order and fused, while NaN and infinity stay what they are.
+
+``math.isfinite`` does not work under it: compare with infinity. What simulates does not use it, so that its
+bytes are the same on every processor.
+"""
+
 
 @njit(cache=True)
 def zoh_coefficients(angle):
