@@ -26,10 +26,16 @@ _FEWEST_SAMPLES = 200
 _ROUNDS = 8
 _POINTS_PER_OCTAVE = 48  # of the covariance's integral, which needs to be good to some per cent
 _TWO_SIDED, _ONE_SIDED = 1.960, 1.645  # sigmas of 95 %
-# A square known no better than this is told as an upper limit.
-_LARGEST_SHARE = 1 / _TWO_SIDED
-# Fits that chance explains more rarely than this do not hold.
-_FIT_PROBABILITY = 1e-3
+_LIMIT_ROUNDS = 4
+_FIT_SIGMAS = 3.090  # one-sided, one in a thousand: a fit that chance explains more rarely does not hold
+
+# A rest for less than this shows the white noise and hardly more.
+_SHORTEST_REST = 60.0  # s
+_LARGEST_LOSS = 0.05  # of the samples, which are then interpolated: that takes half of it off the noise
+_STAMPS_COMPARED = 10_000
+# What the mean of a second may differ by from that of all: beyond it the IMU has been moved.
+_STILL_RATE, _STILL_FORCE = 0.02, 0.2  # rad/s, m/s^2
+_MOVED_SECONDS = 3  # fewer are knocks, which the fit survives
 NOISES = ("quantisation", "noise_density", "bias_instability", "walk_density")
 """The noises fitted, and their names: Q in u s, N in u/sqrt(Hz), the floor in u, K in u/sqrt(s)."""
 
@@ -64,6 +70,11 @@ class AllanCurve:
         """Allan deviation, (J, A), u."""
         return np.sqrt(self.variance)
 
+    @property
+    def deviation_std(self):
+        """What the deviation is uncertain by, (J, A), u (IEEE Std 952-1997, C.1)."""
+        return self.deviation / np.sqrt(2.0 * (self.count / self.factor - 1.0))[:, None]
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -95,8 +106,10 @@ class NoiseFit:
         K: rate random walk.
     shortest_time : float, s
         The curve is explained from here; below it filters of the sensor or vibration shape it.
+    misfit : float
+        Chi-square per degree of freedom of what the fit leaves.
     consistent : bool
-        Whether chance explains what the fit leaves.
+        Whether chance explains the misfit.
     """
 
     quantisation: Estimate
@@ -104,12 +117,117 @@ class NoiseFit:
     bias_instability: Estimate
     walk_density: Estimate
     shortest_time: float
+    misfit: float
     consistent: bool
 
     def variance(self, time):
         """Return the Allan variance of the fitted noises at times (...), u^2."""
         squares = [getattr(self, name).value ** 2 for name in NOISES]
         return np.moveaxis(_terms(np.asarray(time, float)), 0, -1) @ squares
+
+
+@dataclass(frozen=True)
+class TriadNoise:
+    """What a rest shows of three gyros or three accelerometers.
+
+    Attributes
+    ----------
+    mean : (3,), u
+        Of the readings.
+    curve : AllanCurve
+    fits : tuple of NoiseFit
+        One an axis.
+    """
+
+    mean: np.ndarray
+    curve: AllanCurve
+    fits: tuple
+
+    def combined(self, name):
+        """Return one figure of NOISES for three axes: root mean square, of the upper limit where none is found."""
+        figures = [getattr(fit, name) for fit in self.fits]
+        return math.sqrt(np.mean([(figure.value if figure.found else figure.high) ** 2 for figure in figures]))
+
+
+@dataclass(frozen=True)
+class ImuNoise:
+    """What a rest shows of an IMU; ``missing`` is the share of samples that were filled in."""
+
+    gyro: TriadNoise
+    accel: TriadNoise
+    duration: float
+    missing: float
+
+
+def measure_noise(imu):
+    """Return the noises of an IMU that has been at rest.
+
+    Parameters
+    ----------
+    imu : inertial.recording.ImuSeries
+
+    Returns
+    -------
+    ImuNoise
+
+    Raises
+    ------
+    ValueError
+        The record is short, has gaps or stamps out of order, or the IMU was moved.
+    """
+    usable = np.isfinite(imu.gyro_b).all(axis=1) & np.isfinite(imu.accel_b).all(axis=1)
+    stamp_ns = imu.stamp_ns[usable]
+    duration = (stamp_ns[-1] - stamp_ns[0]) * 1e-9 if len(stamp_ns) else 0.0
+    if duration < _SHORTEST_REST:
+        raise ValueError(f"{duration:.1f} s of IMU samples are too short: {_SHORTEST_REST:g} s show the white "
+                         "noise, an hour the bias instability")
+    interval, place = _places(stamp_ns)
+    grid = np.arange(place[-1] + 1)
+    missing = 1.0 - len(np.unique(place)) / len(grid)
+    if missing > _LARGEST_LOSS:
+        raise ValueError(f"{100 * missing:.1f} % of the samples are missing: at most {100 * _LARGEST_LOSS:g} % may")
+    triads = [np.stack([np.interp(grid, place, axis) for axis in readings[usable].T], axis=-1)
+              for readings in (imu.gyro_b, imu.accel_b)]
+    _check_still(interval, *triads)
+    return ImuNoise(*(_triad_noise(readings, interval) for readings in triads), duration, missing)
+
+
+def _places(stamp_ns):
+    """Return the sampling interval, and where on its grid each sample belongs."""
+    step_ns = np.diff(stamp_ns)
+    if step_ns.min() <= 0:
+        back = int(np.argmax(step_ns <= 0))
+        raise ValueError(f"stamps do not increase, first {(stamp_ns[back] - stamp_ns[0]) * 1e-9:.1f} s after the "
+                         "start")
+    # Steps count the samples but for some that late stamps make round the wrong way: among the counts near it,
+    # the one on whose grid the stamps agree best.
+    steps = np.rint(step_ns / np.median(step_ns))
+    reach = 10.0 + 4.0 * math.sqrt(np.sum(steps != 1.0))
+    counts = steps.sum() + np.arange(-reach, reach, 0.25)
+    elapsed = (stamp_ns - stamp_ns[0]) / (stamp_ns[-1] - stamp_ns[0])
+    some = elapsed[::max(1, len(elapsed) // _STAMPS_COMPARED)]
+    agreement = [abs(np.exp(2j * math.pi * count * some).sum()) for count in counts]
+    phase = counts[np.argmax(agreement)] * elapsed
+    place = np.rint(phase - np.median(phase - np.rint(phase))).astype(np.int64)
+    interval = (stamp_ns[-1] - stamp_ns[0]) * 1e-9 / counts[np.argmax(agreement)]
+    return interval, place - place[0]
+
+
+def _check_still(interval, gyro_b, accel_b):
+    second = max(1, round(1.0 / interval))
+    means = [readings[:len(readings) // second * second].reshape(-1, second, 3).mean(axis=1)
+             for readings in (gyro_b, accel_b)]
+    moved = [np.abs(mean - np.median(mean, axis=0)).max(axis=1) > limit
+             for mean, limit in zip(means, (_STILL_RATE, _STILL_FORCE), strict=True)]
+    seconds = np.flatnonzero(moved[0] | moved[1])
+    if len(seconds) > _MOVED_SECONDS:
+        raise ValueError(f"the IMU is moving in {len(seconds)} of {len(moved[0])} s, between {seconds[0]} and "
+                         f"{seconds[-1] + 1} s after the start: it must stand still")
+
+
+def _triad_noise(readings, interval):
+    curve = allan_curve(readings, interval)
+    return TriadNoise(readings.mean(axis=0), curve, tuple(fit_noise(curve, axis) for axis in range(3)))
 
 
 def allan_curve(samples, interval, factors=None):
@@ -149,7 +267,7 @@ def allan_curve(samples, interval, factors=None):
         for row, m in enumerate(factors.tolist()):
             sums = phase[m:] - phase[:-m]
             change = sums[m:] - sums[:-m]
-            variance[row, channel] = np.dot(change, change) / (2.0 * m * m * len(change))
+            variance[row, channel] = 0.5 * np.mean(change ** 2) / m ** 2
     return AllanCurve(interval, count, factors, variance)
 
 
@@ -164,7 +282,8 @@ def fit_noise(curve, channel=0):
     Returns
     -------
     NoiseFit
-        Starting at the shortest time from which on the four noises explain the curve.
+        From the shortest time on from which the four noises explain the curve. Where they explain it from
+        none, the best fit, with its limits widened by the root of its misfit.
 
     Raises
     ------
@@ -176,30 +295,65 @@ def fit_noise(curve, channel=0):
         raise ValueError("the samples do not change: there is no noise to measure")
     if len(variance) <= len(NOISES):
         raise ValueError(f"{len(variance)} averaging times: a fit needs {len(NOISES) + 1} or more")
-    fits = (_fit_from(curve, variance, start) for start in range(len(variance) - len(NOISES)))
-    first = next(fits)
-    return first if first.consistent else next((fit for fit in fits if fit.consistent), first)
+    fits = []
+    for start in range(len(variance) - len(NOISES)):
+        fits.append(_fit_from(curve, variance, start))
+        if fits[-1].consistent:
+            return fits[-1]
+    return min(fits, key=lambda fit: fit.misfit)
 
 
 def _fit_from(curve, variance, start):
     """Return the fit to all but the first `start` points."""
     factor, time, variance = curve.factor[start:], curve.time[start:], variance[start:]
     design = _terms(time).T
-    scale = design.max(axis=0) / variance.max()  # squares of very different sizes become alike
-    design = design / scale
+    scale = variance.max() / design.max(axis=0)  # squares of very different sizes become alike
+    design = design * scale
     # To begin with: independent estimates with as many terms as lie end to end.
     covariance = np.diag(variance ** 2 * factor / curve.count)
     for _ in range(_ROUNDS):
         whitener = np.linalg.inv(np.linalg.cholesky(covariance))
         squares = _least_squares(whitener @ design, whitener @ variance)
-        covariance = _covariance(curve, factor, squares / scale)
-    whitener = np.linalg.inv(np.linalg.cholesky(covariance))
-    free, *_ = np.linalg.lstsq(whitener @ design, whitener @ variance, rcond=None)
-    squares = _least_squares(whitener @ design, whitener @ variance)
-    spread = np.sqrt(np.diag(np.linalg.inv(design.T @ whitener.T @ whitener @ design)))
-    misfit = np.sum((whitener @ (variance - design @ squares)) ** 2)
-    estimates = [_estimate(*row) for row in zip(squares / scale, free / scale, spread / scale, strict=True)]
-    return NoiseFit(*estimates, float(time[0]), misfit < _largest_misfit(len(variance) - len(NOISES)))
+        covariance = _covariance(curve, factor, squares * scale)
+    freedom = len(variance) - len(NOISES)
+    misfit = np.sum((whitener @ (variance - design @ squares)) ** 2) / freedom
+    consistent = bool(misfit < _largest_misfit(freedom))
+    widening = 1.0 if consistent else math.sqrt(misfit)
+    gain = np.linalg.pinv(whitener @ design) @ whitener
+    free = gain @ variance  # without regard to the signs
+
+    def spread(k, square):
+        """Standard deviation of the free square k, were this the true one."""
+        truth = np.where(np.arange(len(NOISES)) == k, square, squares)
+        return widening * math.sqrt(gain[k] @ _covariance(curve, factor, truth * scale) @ gain[k])
+
+    estimates = []
+    for k, square in enumerate(squares):
+        low, high = _limits(free[k], lambda value, k=k: spread(k, value))
+        # The free squares are a little off those without a negative one among them.
+        limits = [square, min(low, square), max(high, square)]
+        estimates.append(Estimate(*np.sqrt(scale[k] * np.array(limits)).tolist()))
+    return NoiseFit(*estimates, float(time[0]), float(misfit), consistent)
+
+
+def _limits(free, spread):
+    """Return the true squares between which 95 % lie: found from them, `free` is just as far off as that.
+
+    The spread grows with the true square, so the limits are not equally far. The upper one is looked for in a few
+    rounds only: where the spread is as large as the square itself, there is none.
+    """
+    found = free > _TWO_SIDED * spread(0.0)
+    sigmas = _TWO_SIDED if found else _ONE_SIDED
+    high = max(free, 0.0)
+    low, above = (max(free - sigmas * spread(free), 0.0), free) if found else (0.0, 0.0)
+    for _ in range(_LIMIT_ROUNDS):
+        high = max(free, 0.0) + sigmas * spread(high)
+        middle = 0.5 * (low + above)
+        if middle + sigmas * spread(middle) < free:
+            low = middle
+        else:
+            above = middle
+    return low, high
 
 
 def _terms(time):
@@ -238,19 +392,7 @@ def _covariance(curve, factor, squares):
     return 4.0 / curve.interval * (shaped * width) @ shaped.T / np.maximum.outer(terms, terms)
 
 
-def _estimate(square, free, spread):
-    """Return the root of a square with its limits.
-
-    A square is a sum of squares: its logarithm is nearer to a normal distribution than itself.
-    """
-    if free <= 0.0 or spread > _LARGEST_SHARE * square:
-        return Estimate(math.sqrt(square), 0.0, math.sqrt(max(free, 0.0) + _ONE_SIDED * spread))
-    factor = math.exp(0.5 * _TWO_SIDED * spread / square)
-    return Estimate(math.sqrt(square), math.sqrt(square) / factor, math.sqrt(square) * factor)
-
-
 def _largest_misfit(freedom):
-    """Return the chi-square that chance exceeds with _FIT_PROBABILITY (Wilson and Hilferty)."""
-    sigmas = 3.090  # of the normal distribution
+    """Return the chi-square per degree of freedom that chance exceeds once in a thousand (Wilson and Hilferty)."""
     share = 2.0 / (9.0 * freedom)
-    return freedom * (1.0 - share + sigmas * math.sqrt(share)) ** 3
+    return (1.0 - share + _FIT_SIGMAS * math.sqrt(share)) ** 3

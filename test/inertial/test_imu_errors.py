@@ -136,3 +136,52 @@ def test_the_papers_sensors_have_the_papers_noise_at_100_hz():
     assert np.degrees(gyro.std()) == pytest.approx(0.5, rel=STATISTICS)
     assert accel.std() == pytest.approx(0.1, rel=STATISTICS)
     assert PROFILES["paper"].altimeter.noise_std == 2.0
+
+
+COLOURED = {"gyro_bias_instability": 0.02, "accel_vibration_std": 0.5, "vibration_frequency": 20.0}
+
+
+def test_coloured_noise_leaves_all_other_noise_as_it_was():
+    noise = ImuErrors(gyro_noise_density=0.01, accel_noise_density=0.1, jitter_std=0.001)
+    plain, coloured = _error(noise)[2], _error(replace(noise, **COLOURED))[2]
+    assert np.array_equal(plain.imu.stamp_ns, coloured.imu.stamp_ns)
+    flicker = coloured.gyro_bias_b - plain.gyro_bias_b
+    assert flicker.std() > 0.02
+    assert coloured.imu.gyro_b - plain.imu.gyro_b == pytest.approx(flicker, abs=1e-15)
+    assert np.array_equal(plain.accel_bias_b, coloured.accel_bias_b)
+
+
+def test_vibration_is_a_band_about_its_frequency():
+    _, accel, _ = _error(ImuErrors(**COLOURED, vibration_time=1.0))
+    assert accel.std() == pytest.approx(0.5, rel=STATISTICS)
+    power = np.sum(np.abs(np.fft.rfft(accel, axis=0)) ** 2, axis=1)
+    near = np.abs(np.fft.rfftfreq(COUNT, 1.0 / RATE) - 20.0) < 2.0
+    assert power[near].sum() > 0.9 * power.sum()
+
+
+def test_counting_the_angle_loses_none_of_it():
+    errors = ImuErrors(gyro_angle_resolution=1e-3, gyro_noise_density=0.01)
+    counted, _, _ = _error(errors, rate_b=(0.1, 0.0, 0.0))
+    smooth, _, _ = _error(replace(errors, gyro_angle_resolution=0.0), rate_b=(0.1, 0.0, 0.0))
+    assert np.abs(np.cumsum(counted - smooth, axis=0) / RATE).max() == pytest.approx(0.5e-3, rel=0.01)
+    counts = (counted + [0.1, 0.0, 0.0]) / RATE / 1e-3
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
+
+
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+def test_compensation_takes_the_constant_errors_out(sensor):
+    errors = ImuErrors(**{f"{sensor}_bias_std": 0.5, f"{sensor}_scale_std": 0.02,
+                          f"{sensor}_misalignment_std": 0.02})
+    truth = {"rate_b": (0.3, -0.2, 0.1), "force_b": (1.0, 2.0, -9.0)}
+    imu, (_, _, measured) = _imu(10, **truth), _error(errors, count=10, **truth)
+    reading = getattr(measured.imu, f"{sensor}_b")
+    assert np.abs(reading - getattr(imu, f"{sensor}_b")).max() > 0.1
+    calibration = getattr(measured, f"{sensor}_calibration")
+    np.testing.assert_allclose(calibration.compensate(reading), getattr(imu, f"{sensor}_b"), atol=1e-14)
+
+
+def test_real_sensors_are_ordered_by_their_grade():
+    grades = [PROFILES[name].imu for name in ("icm20948", "adis16448", "adis16488a", "kvh1750", "hg9900")]
+    for figure in ("gyro_noise_density", "gyro_bias_std", "accel_bias_std"):
+        values = [getattr(errors, figure) for errors in grades]
+        assert values == sorted(values, reverse=True), figure

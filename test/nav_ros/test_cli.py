@@ -1,4 +1,4 @@
-"""simulate_bag and score_bag as a user calls them."""
+"""simulate_bag, score_bag and allan as a user calls them."""
 
 import csv
 import json
@@ -6,15 +6,22 @@ import json
 import numpy as np
 import pytest
 
+from alignment.edge import AlignmentNodeParams
+from attitude_estimator.edge import AttitudeNodeParams
+from inertial.imu_errors import PROFILES, apply_imu_errors
+from inertial.recording import ImuSeries, Recording
 from inertial.rotation import down_from_quaternion
-from nav_ros import cli
+from nav_ros import allan_cli, cli
 from nav_ros.bags import BagWriter, read_messages, read_recording
 from nav_ros.frames import orientation_from_q_nb
 from nav_ros.messages import IMU, ORIENTATION, ORIENTATION_COVARIANCE, QUATERNION, StampedEncoder
+from nav_ros.parameters import load_parameter_file, parameter_names, params_from_values
+from nav_ros.recorded import recorded_messages
 
 KEYS = ["tilt_rms_deg", "roll_rms_deg", "pitch_rms_deg", "coverage_3sigma", "nees", "samples", "skipped_s"]
 TILT_DEG = 1.0
 ROUNDING_DEG = 1e-6
+NOISE = 0.05  # share by which the noise of 7000 samples may be off
 
 
 def run(main, *arguments):
@@ -124,3 +131,69 @@ def test_a_warning_takes_one_line(tmp_path, capsys):
     run(cli.score_bag_main, tmp_path / "run", "--json")
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("score_bag: warning: ") and "up to the break" in line
+
+
+def bag_at_rest(path, seconds=70.0, rate=100.0, profile="adis16488a"):
+    count = round(seconds * rate)
+    stamps = 10**18 + np.rint(1e9 / rate * np.arange(count)).astype(np.int64)
+    truth = ImuSeries(stamps, np.zeros((count, 3)), np.tile([0.0, 0.0, -9.8], (count, 1)))
+    imu = apply_imu_errors(truth, PROFILES[profile].imu, np.random.default_rng(1)).imu
+    types, messages = recorded_messages(Recording("rest", imu))
+    with BagWriter(path, types) as writer:
+        for message in messages:
+            writer.write(*message)
+
+
+@pytest.fixture(scope="module")
+def rest(tmp_path_factory):
+    path = tmp_path_factory.mktemp("allan") / "rest"
+    bag_at_rest(path)
+    return path
+
+
+def test_allan_writes_a_parameter_file_that_the_nodes_read(rest, tmp_path, capsys):
+    run(allan_cli.main, rest, "--out", tmp_path / "params.yaml", "--plot", tmp_path / "plot.png")
+    told = capsys.readouterr().out
+    assert "70 s at 100 Hz" in told and "white noise N              deg/sqrt(h)" in told
+    assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+    errors = PROFILES["adis16488a"].imu
+    params = {kind: params_from_values(kind, load_parameter_file(tmp_path / "params.yaml", node,
+                                                                 parameter_names(kind)))
+              for kind, node in ((AttitudeNodeParams, "attitude_node"), (AlignmentNodeParams, "alignment_node"))}
+    standing = params[AlignmentNodeParams]
+    assert standing.gyro_noise_density == pytest.approx(errors.gyro_noise_density, rel=NOISE)
+    assert standing.accel_noise_density == pytest.approx(errors.accel_noise_density, rel=NOISE)
+    assert standing.gyro_bias_instability > 0.8 * errors.gyro_bias_instability
+    moving, default = params[AttitudeNodeParams], AttitudeNodeParams()
+    assert moving.gyro_noise_density == pytest.approx(
+        np.hypot(default.gyro_noise_density, errors.gyro_noise_density), rel=NOISE)
+    assert {name: getattr(default, name) for name in allan_cli._MOTION} == allan_cli._MOTION
+    assert 0.2 < moving.gyro_bias_std / errors.gyro_bias_std < 6.0
+
+
+def test_allan_speaks_json(rest, capsys):
+    run(allan_cli.main, rest, "--json", "--start", 2)
+    found = json.loads(capsys.readouterr().out)
+    assert found["duration_s"] == pytest.approx(68.0, abs=0.1) and found["rate_hz"] == pytest.approx(100.0)
+    density = found["gyro"]["x"]["noise_density"]
+    assert density["low"] < density["value"] < density["high"]
+    assert found["accel"]["z"]["mean"] == pytest.approx(9.8, abs=0.3)
+
+
+@pytest.mark.parametrize("arguments, reason", [
+    (["--end", "20"], "20.0 s of IMU samples are too short"),
+    (["--start", "100"], "too short"),
+    (["--topic", "imu:=/other"], "no topic /other; topics there: /imu/data_raw"),
+    (["--out", "none/params.yaml"], "No such file or directory")])
+def test_allan_says_in_one_line_what_is_wrong(rest, capsys, arguments, reason):
+    with pytest.raises(SystemExit) as end:
+        run(allan_cli.main, rest, *arguments)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert end.value.code == 2 and line.startswith("allan: ") and reason in line
+
+
+def test_allan_refuses_a_flight(tmp_path, capsys):
+    run(cli.simulate_bag_main, "hover", tmp_path / "run", "--duration", 70, "--imu-rate", 50)
+    with pytest.raises(SystemExit):
+        run(allan_cli.main, tmp_path / "run")
+    assert "the IMU is moving in" in capsys.readouterr().err
