@@ -24,7 +24,7 @@ setup(
     license="Apache-2.0",
     maintainer="attitude_alignment maintainers",
     maintainer_email="maintainers@attitude-alignment.example",
-    packages=["inertial", "attitude_estimator", "alignment", "nav_ros", "studies"],
+    packages=["inertial", "attitude_estimator", "alignment", "alignment.standing", "nav_ros", "studies"],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (SHARE, ["package.xml"]),

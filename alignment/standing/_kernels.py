@@ -554,7 +554,7 @@ def group_row(model, R, m, P, q, row):
         row[OUT_V + i], row[OUT_BG + i], row[OUT_BA + i] = m[M_V + i], m[M_BG + i], m[M_BA + i]
         row[OUT_BG_VAR + i] = P[6 + i, 6 + i] if model != RIEKF6 else np.nan
         row[OUT_BA_VAR + i] = P[9 + i, 9 + i] if model != RIEKF6 else np.nan
-    row[OUT_NIS], row[OUT_COST] = q[Q_NIS], np.nan
+    row[OUT_NIS], row[OUT_COST] = q[Q_NIS] * q[Q_SCALE], np.nan
 
 
 # --- filters of the computed-frame error model --------------------------------------------------------
@@ -984,4 +984,4 @@ def error_model_row(model, R, m, P, q, row):
         for i in range(2):
             row[OUT_BA + i] += x[8 + i]
             row[OUT_BA_VAR + i] = P[8 + i, 8 + i]
-    row[OUT_NIS], row[OUT_COST] = q[Q_NIS], q[Q_COST]
+    row[OUT_NIS], row[OUT_COST] = q[Q_NIS] * q[Q_SCALE], q[Q_COST]

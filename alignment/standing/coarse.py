@@ -20,7 +20,13 @@ import numpy as np
 
 from alignment.standing import _kernels as kernels
 from inertial.earth import earth_rate_n
-from inertial.rotation import dcm_from_quaternion, quaternion_from_dcm, quaternion_multiply
+from inertial.rotation import (
+    dcm_nb_from_euler,
+    quaternion_exp,
+    quaternion_from_dcm,
+    quaternion_multiply,
+    roll_pitch_from_down,
+)
 
 # Spread of a heading of which nothing is known, uniform over the circle, rad.
 UNKNOWN_HEADING_STD = math.pi / math.sqrt(3)
@@ -89,12 +95,35 @@ def align_by_gravity(sums, params):
     matrix[0, 1:] = matrix[1:, 0] = axis
     matrix[1:, 1:] = profile + profile.T - np.trace(profile) * np.eye(3)
     start = np.linalg.eigh(matrix)[1][:, -1]
-    earth = earth_rate_n(params.latitude) * time
-    moved = dcm_from_quaternion(start) @ sums[kernels.O_BODY:kernels.O_TIME].reshape(3, 3)
-    angle = np.linalg.norm(earth)
-    back = np.concatenate([[math.cos(0.5 * angle)], -math.sin(0.5 * angle) * earth / angle])
-    q_nb = quaternion_multiply(back, quaternion_from_dcm(moved))
-    return CoarseResult(q_nb, start, coarse_covariance(time, params), time)
+    body = quaternion_from_dcm(sums[kernels.O_BODY:kernels.O_TIME].reshape(3, 3))
+    turned = quaternion_multiply(quaternion_exp(-time * earth_rate_n(params.latitude)), start)
+    return CoarseResult(quaternion_multiply(turned, body), start, coarse_covariance(time, params), time)
+
+
+def start_attitude(sums, dcm_nb, params):
+    """Return the attitude (4,) at the beginning of the sums from ``dcm_nb`` (3, 3) at their end."""
+    body = sums[kernels.O_BODY:kernels.O_TIME].reshape(3, 3)
+    turned = quaternion_exp(sums[kernels.O_TIME] * earth_rate_n(params.latitude))
+    return quaternion_multiply(turned, quaternion_from_dcm(dcm_nb @ body.T))
+
+
+def level_by_force(sums, params):
+    """Return the level alone, by the mean force, where the latitude is of no use; the heading is zero."""
+    time = float(sums[kernels.O_TIME])
+    down_b = -sums[kernels.O_BODY:kernels.O_TIME].reshape(3, 3).T @ sums[kernels.O_ALPHA:kernels.O_BETA]
+    roll, pitch = roll_pitch_from_down(down_b)
+    q_nb = quaternion_from_dcm(dcm_nb_from_euler(roll, pitch, 0.0))
+    tilt_var = (params.accel_bias_spread / params.local_gravity) ** 2 + params.gyro_noise_density ** 2 * time
+    return CoarseResult(q_nb, q_nb, np.diag([tilt_var, tilt_var, UNKNOWN_HEADING_STD ** 2]), time)
+
+
+def bias_sensitivity(params):
+    """Return how a first attitude is wrong by errors of force and of rate in navigation axes: two (3, 3)."""
+    tan_latitude = math.tan(params.latitude)
+    force = np.array([[0, -1, 0], [1, 0, 0], [0, tan_latitude, 0]]) / params.local_gravity
+    rate = np.zeros((3, 3))
+    rate[2, 1] = -1 / params.north_rate
+    return force, rate
 
 
 def coarse_covariance(time, params, noise_factor=NOISE_FACTOR):
@@ -102,14 +131,13 @@ def coarse_covariance(time, params, noise_factor=NOISE_FACTOR):
 
     Biases by their priors, noise over the time, sway of the vehicle by the zero-velocity noise.
     """
-    gravity, tan_latitude = params.local_gravity, math.tan(params.latitude)
-    from_force = np.array([[0, -1, 0], [1, 0, 0], [0, tan_latitude, 0]]) / gravity
+    force, rate = bias_sensitivity(params)
     force_var = params.accel_bias_spread ** 2 + params.accel_noise_density ** 2 / time \
         + (params.zero_velocity_std / time) ** 2
     east_rate_var = params.gyro_bias_spread ** 2 + noise_factor * params.gyro_noise_density ** 2 / time \
-        + (12 * params.zero_velocity_std / (gravity * time ** 2)) ** 2
-    covariance = force_var * from_force @ from_force.T + params.gyro_noise_density ** 2 * time * np.eye(3)
-    covariance[2, 2] += east_rate_var / params.north_rate ** 2
+        + (12 * params.zero_velocity_std / (params.local_gravity * time ** 2)) ** 2
+    covariance = force_var * force @ force.T + east_rate_var * rate @ rate.T \
+        + params.gyro_noise_density ** 2 * time * np.eye(3)
     return limit_heading(covariance)
 
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from alignment.standing import _kernels as kernels
 from alignment.standing.params import MODELS
+from inertial.earth import EARTH_RATE
 from inertial.rotation import dcm_from_quaternion, euler_from_dcm
 
 GROUP_FILTERS = ("riekf6", "riekf12", "mekf")
@@ -135,7 +136,7 @@ class Filter:
         self.q = np.zeros(kernels.Q_SIZE)
         self.q[kernels.Q_SCALE] = self.q[kernels.Q_NIS] = 1.0
         if bias_covariance is None:
-            bias_covariance = bias_priors(params, self.R[2])
+            bias_covariance = bias_priors(params, self.R)
         if bias is not None and name != "riekf6":
             self.m[kernels.M_BG:kernels.M_X] = bias
         if self.in_steps:
@@ -158,6 +159,29 @@ class Filter:
         return kernels.run_error_model(self.model, self.constants, self.R, self.m, self.P, self.q, self.ipa, dt,
                                        gyro_b, accel_b, standing, every, rows)
 
+    @property
+    def moving(self):
+        """Whether zero velocities are suspended."""
+        return self.q[kernels.Q_MOVING] != 0.0
+
+    def attitude_covariance(self):
+        """Return the covariance (3, 3) of the small rotation in navigation axes, rad^2."""
+        start = 0 if self.in_steps else 2
+        return self.P[start:start + 3, start:start + 3].copy()
+
+    def correlate_biases(self, sensitivity):
+        """Tell an error model that the first attitude is wrong by what the biases make of it.
+
+        Parameters
+        ----------
+        sensitivity : tuple of two (3, 3)
+            From :func:`alignment.standing.coarse.bias_sensitivity`. The model's phi is the other way round.
+        """
+        force, rate = sensitivity
+        self.P[2:5, 5:8] = -rate @ self.R @ self.P[5:8, 5:8]
+        self.P[2:5, 8:10] = -force @ self.R[:, :2] @ self.P[8:10, 8:10]
+        self.P[5:10, 2:5] = self.P[2:5, 5:10].T
+
     def row(self):
         """Return the present row of output, (OUT_SIZE,)."""
         row = np.empty(kernels.OUT_SIZE)
@@ -166,11 +190,17 @@ class Filter:
         return row
 
 
-def bias_priors(params, down_b):
-    """Return the prior covariance (6, 6) of gyro and accelerometer bias."""
+def bias_priors(params, dcm_nb):
+    """Return the prior covariance (6, 6) of gyro and accelerometer bias.
+
+    A wrong latitude looks like a gyro bias, wrong gravity like an accelerometer's.
+    """
+    latitude = 0.0 if math.isnan(params.latitude) else params.latitude
+    by_latitude = -EARTH_RATE * params.latitude_std * (
+        math.sin(latitude) * dcm_nb[0] + math.cos(latitude) * dcm_nb[2])
     P = np.zeros((6, 6))
-    P[:3, :3] = params.gyro_bias_spread ** 2 * np.eye(3)
-    P[3:, 3:] = params.accel_bias_spread ** 2 * np.eye(3) + GRAVITY_STD ** 2 * np.outer(down_b, down_b)
+    P[:3, :3] = params.gyro_bias_spread ** 2 * np.eye(3) + np.outer(by_latitude, by_latitude)
+    P[3:, 3:] = params.accel_bias_spread ** 2 * np.eye(3) + GRAVITY_STD ** 2 * np.outer(dcm_nb[2], dcm_nb[2])
     return P
 
 
