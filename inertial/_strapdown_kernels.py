@@ -59,6 +59,13 @@ def _store(array, start, a):
 
 
 @njit(cache=True)
+def _copy(source, target):
+    # A loop: numba takes seconds to compile an assignment of slices.
+    for i in range(len(source)):
+        target[i] = source[i]
+
+
+@njit(cache=True)
 def _multiply(p, q):
     """Return the Hamilton product of quaternions, scalar first."""
     return (p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
@@ -271,16 +278,16 @@ def run(core, window, history, gyro_b, accel_b, altitude, affine, interval, poin
     first = len(k) + 1 - new
     for step in range(len(altitude)):
         for i in range(first):
-            window[i] = window[new + i]
+            _copy(window[new + i], window[i])
         for i in range(new):
             sample = step * new + i
             take_sample(window, first + i, history, gyro_b[sample], accel_b[sample], affine, interval, point)
             if history[0, 0] == 0.0:
                 history[0, 0] = 1.0
                 for j in range(first):
-                    window[j] = window[first]
+                    _copy(window[first], window[j])
         phi, eta = combine(window, k, new)
         major_step(core, phi, eta, new * interval, altitude[step], gains)
         if (step + 1) % every == 0:
-            out[(step + 1) // every - 1] = core
+            _copy(core, out[(step + 1) // every - 1])
     return out

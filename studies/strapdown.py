@@ -287,8 +287,8 @@ def coning_section(plots):
     plain_drift, plain_force = uncorrected()
     return ["## Coning and sculling", "",
             f"Half-angle 0.1 deg at 20 Hz, major interval {CONING_MAJOR * 1e3:.0f} ms, increments exact in closed "
-            f"form. Left uncorrected the drift is {plain_drift:.1f} deg/h and the force is wrong by {plain_force:.0f} of "
-            f"{true:.0f} ug. The order in frequency is from 10 to 20 Hz at {ORDER_ANGLE / DEG:.2f} deg: at 0.1 deg "
+            f"form. Left uncorrected the drift is {plain_drift:.1f} deg/h and the force is wrong by {plain_force:.0f} "
+            f"of {true:.0f} ug. The order in frequency is from 10 to 20 Hz at {ORDER_ANGLE / DEG:.2f} deg: at 0.1 deg "
             "a term of fourth order in the angle, 1e-8 deg/h at 10 Hz, which no scheme of products of two "
             "increments sees, is as large as what four samples leave.",
             *table(("scheme", "drift, deg/h", "limit", "order", "expected", "sculling error, ug", "limit", "verdict"),
