@@ -1,17 +1,18 @@
-"""align_bag: level and true heading from a recorded bag of a turntable, by the same core as the node."""
+"""align_bag: level and true heading from a recorded bag of a turntable or of a standing vehicle.
+
+By the same core as the node.
+"""
 
 import argparse
 import dataclasses
 import json
 import math
 
-import numpy as np
-
-from alignment.edge import AlignmentNodeParams, JointError, status_values, table_angle
-from alignment.errors import AlignmentError
-from alignment.params import METHODS
-from alignment.session import TableSession
-from nav_ros.bags import TYPES, BagError, BagReader
+from alignment.edge import AlignmentNodeParams, JointError, imu_sample, joint_sample
+from alignment.params import METHODS, AlignmentParams
+from alignment.standing.params import STANDING_METHODS, StandingParams
+from alignment.views import open_view
+from nav_ros.bags import TOPICS, TYPES, BagError, BagReader
 from nav_ros.cli import (
     add_parameter_options,
     add_topic_option,
@@ -21,12 +22,11 @@ from nav_ros.cli import (
     progress,
     topics_of,
 )
-from nav_ros.frames import swap_flu_frd
-from nav_ros.messages import ACCEL, GYRO, IMU, MalformedMessageError, decode, decode_joints
+from nav_ros.messages import MalformedMessageError
 
 
-def align_bag(path, params, topics):
-    """Return the finished session of a bag's messages.
+def align_bag(path, params, topics, fit=False):
+    """Return the finished alignment of a bag's messages.
 
     Parameters
     ----------
@@ -34,39 +34,40 @@ def align_bag(path, params, topics):
     params : alignment.edge.AlignmentNodeParams
     topics : dict
         Key -> topic, see :data:`nav_ros.bags.TOPICS`.
+    fit : bool
+        Whether a standing vehicle's method stands in for ``joint`` where the bag has no joint.
 
     Returns
     -------
-    alignment.session.TableSession
+    alignment.views.TableView or alignment.views.StandingView
 
     Raises
     ------
     nav_ros.bags.BagError
         There is no such bag, a topic is missing, or nothing in it can be used.
     """
-    session = TableSession(params, follow=False)
     malformed = 0
     with BagReader(path) as bag:
-        for key in ("imu", "joints"):
+        without_joint = topics["joints"] == TOPICS["joints"] not in bag.types
+        if fit and without_joint and params.method == AlignmentParams.method:
+            params = dataclasses.replace(params, method=StandingParams.method)
+        view = open_view(params, live=False)
+        for key in view.inputs:
             bag.require(topics[key], TYPES[key])
-        wanted = [topics["imu"], topics["joints"]]
-        for topic, _, raw in progress(bag.messages(wanted), bag.name):
+        for topic, _, raw in progress(bag.messages(topics[key] for key in view.inputs), bag.name):
             try:
                 if topic == topics["imu"]:
-                    stamp_ns, _, values = decode(IMU, raw)
-                    session.add_imu(stamp_ns, swap_flu_frd(values[GYRO]), swap_flu_frd(values[ACCEL]))
+                    view.session.add_imu(*imu_sample(raw))
                 else:
-                    stamp_ns, positions = decode_joints(raw)
-                    session.add_joint(stamp_ns, table_angle(positions, params.joint_name))
+                    view.session.add_joint(*joint_sample(raw, params.joint_name))
             except MalformedMessageError:
                 malformed += 1
             except JointError as error:
                 raise BagError(f"{path}: {topic}: {error}") from None
-    session.finish()
-    if session.result is None:
-        reason = session.rejected[0].rejection if session.rejected else "the table never stood long enough"
-        raise BagError(f"{path}: no usable dwell: {reason}" + (f"; {malformed} malformed" * bool(malformed)))
-    return session
+    view.session.finish()
+    if view.session.result is None:
+        raise BagError(f"{path}: {view.lack}" + (f"; {malformed} malformed" * bool(malformed)))
+    return view
 
 
 def main(arguments=None):
@@ -74,13 +75,13 @@ def main(arguments=None):
     options = _parser().parse_args(arguments)
     with one_line_errors("align_bag"):
         params = _params(options)
-        session = align_bag(options.bag, params, topics_of(options))
-        report = _report(session)
+        view = align_bag(options.bag, params, topics_of(options), fit=options.method is None)
+        report = _report(view)
         if options.json:
             print(json.dumps(report))
         else:
-            print(_text(report))
-    return 1 if session.refusal else 0
+            print(_text(report, view))
+    return 1 if view.session.refusal else 0
 
 
 def _params(options):
@@ -93,41 +94,18 @@ def _params(options):
     return dataclasses.replace(params, **changes)
 
 
-def _report(session):
+def _report(view):
     """Return everything that is printed, ready for JSON."""
-    report = {key: json_number(value) for key, value in status_values(session).items()}
-    report["refusal"] = session.refusal
-    report["turning"] = session.turning
-    report["rejections"] = [dwell.rejection for dwell in session.rejected]
-    report["levelling_methods"], report["heading_methods"] = {}, {}
-    if session.dwells:
-        try:
-            levels, headings = session.compare()
-        except AlignmentError:
-            return report
-        report["levelling_methods"] = {name: _level_row(level) for name, level in levels.items()}
-        report["heading_methods"] = {name: _heading_row(north) for name, north in headings.items()}
-    return report
+    return {key: _json(value) for key, value in (view.status() | view.findings()).items()}
 
 
-def _level_row(level):
-    stds = np.sqrt(np.diag(level.covariance))
-    row = {"roll_deg": math.degrees(level.roll), "roll_sigma_deg": math.degrees(stds[0]),
-           "pitch_deg": math.degrees(level.pitch), "pitch_sigma_deg": math.degrees(stds[1])}
-    return {key: json_number(value) for key, value in row.items()} | {"flags": _flags(level)}
+def _json(value):
+    if isinstance(value, dict):
+        return {key: _json(inner) for key, inner in value.items()}
+    return json_number(value)
 
 
-def _heading_row(north):
-    row = {"heading_deg": math.degrees(north.heading) % 360.0, "sigma_deg": math.degrees(north.std),
-           "gyro_bias_deg_h": math.degrees(north.bias) * 3600.0, "gyro_scale": float(north.scale)}
-    return {key: json_number(value) for key, value in row.items()} | {"flags": _flags(north)}
-
-
-def _flags(result):
-    return ", ".join(flag.name for flag in type(result.flags) if flag in result.flags) or "none"
-
-
-def _text(report):
+def _text(report, view):
     """Return the report as a person reads it."""
     lines = [f"roll      {_with_sigma(report, 'roll_deg', 'roll_sigma_deg')}    right side down is positive",
              f"pitch     {_with_sigma(report, 'pitch_deg', 'pitch_sigma_deg')}    nose up is positive"]
@@ -136,13 +114,10 @@ def _text(report):
                      f"clockwise from true north; floor {_number(report['heading_floor_deg'])} deg")
     else:
         lines.append(f"heading   none: {report['refusal']}")
-    lines.append(f"dwells    {report['dwells']} used, {report['dwells_rejected']} rejected"
-                 + ("; the table turns steadily" if report["turning"] else ""))
-    lines += [f"rejected  {reason}" for reason in report["rejections"]]
-    lines.append(f"flags     {report.get('flags', 'none')}")
-    for title, rows in (("levelling", report["levelling_methods"]), ("heading", report["heading_methods"])):
-        if rows:
-            lines += ["", *_table(title, rows)]
+    lines += [f"{title:9} {text}" for title, text in view.remarks()]
+    for title, key in (("levelling", "levelling_methods"), ("heading", "heading_methods")):
+        if report.get(key):
+            lines += ["", *_table(title, report[key])]
     return "\n".join(lines)
 
 
@@ -167,13 +142,14 @@ def _number(value):
 def _parser():
     parser = argparse.ArgumentParser(
         prog="align_bag",
-        description="Find level and true north in a recording of an IMU on a turntable, with its joint's "
-        "angle: the result, its sigma, and every method beside it. Exit status 1 when no heading may be "
-        "believed, 2 for input that cannot be used.")
+        description="Find level and true north in a recording of an IMU, on a turntable with its joint's angle "
+        "or in a standing vehicle: the result, its sigma, and every method beside it. Exit status 1 when no "
+        "heading may be believed, 2 for input that cannot be used.")
     parser.add_argument("bag", metavar="BAG", help="rosbag2 folder, .mcap or .db3 file")
     parser.add_argument("--latitude", type=float, metavar="DEG",
                         help="geodetic latitude, north positive; without it the level only")
-    parser.add_argument("--method", choices=METHODS, help="how the heading is found (default joint)")
+    parser.add_argument("--method", choices=METHODS + STANDING_METHODS,
+                        help="how the heading is found (default joint, oba_riekf where there is no joint)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_parameter_options(parser, "alignment_node")
     add_topic_option(parser, ("imu", "joints"))

@@ -1,7 +1,6 @@
-"""What ``alignment_node`` and ``align_bag`` share at the ROS edge: parameters, joints, message contents.
+"""What ``alignment_node`` and ``align_bag`` share at the ROS edge: parameters and message contents.
 
-A ROS joint about z (up) is counter-clockwise, a table angle clockwise: ``tau = -joint``. The attitude and the
-heading are those of the table at joint zero.
+On a table attitude and heading are those of the table at joint zero; of a standing vehicle those of the IMU.
 """
 
 import math
@@ -9,18 +8,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alignment.azimuth import METHODS
-from alignment.params import AlignmentParams
+from alignment import azimuth
+from alignment.params import METHODS, AlignmentParams
+from alignment.standing.params import STANDING_METHODS, StandingParams
 from inertial.parameters import parameter
 from inertial.rotation import dcm_nb_from_euler, quaternion_from_dcm
-from nav_ros.frames import orientation_from_q_nb, rpy_from_euler, swap_enu_ned_covariance
+from nav_ros.frames import orientation_from_q_nb, rpy_from_euler, swap_enu_ned_covariance, swap_flu_frd
 from nav_ros.messages import (
+    ACCEL,
     ACCEL_COVARIANCE,
     DOUBLES,
+    GYRO,
     GYRO_COVARIANCE,
     IMU,
     ORIENTATION,
     ORIENTATION_COVARIANCE,
+    decode,
+    decode_joints,
 )
 
 UNKNOWN_VARIANCE = 1e6
@@ -28,19 +32,24 @@ UNKNOWN_VARIANCE = 1e6
 
 
 @dataclass(frozen=True)
-class AlignmentNodeParams(AlignmentParams):
-    """Parameters of ``alignment_node`` and ``align_bag``: of the alignment and of the edge."""
+class AlignmentNodeParams(StandingParams, AlignmentParams):
+    """Parameters of ``alignment_node`` and ``align_bag``: of both kinds of alignment and of the edge."""
 
+    method: str = parameter(
+        "joint", "", "How the heading is found; from oba_riekf on in a standing vehicle.",
+        choices=METHODS + STANDING_METHODS)
     joint_name: str = parameter("", "", "Joint of the table in joint_states; empty: the only one there",
                                 runtime=False)
-    base_frame: str = parameter("base_link", "", "Frame of the table at joint zero", runtime=False)
+    base_frame: str = parameter("base_link", "", "Frame of the table at joint zero, or of the IMU",
+                                runtime=False)
     world_frame: str = parameter("map", "", "frame_id of alignment/heading: east, north, up", runtime=False)
     output_rate: float = parameter(10.0, "Hz", "Rate of the output, by the stamps of the IMU", 0.1, 1000.0,
                                    runtime=False)
 
     def __post_init__(self):
         super().__post_init__()
-        lacking = {"any", "maximum"} & set(METHODS[self.method].positions if self.method in METHODS else ())
+        method = azimuth.METHODS.get(self.method)
+        lacking = {"any", "maximum"} & set(method.positions if method else ())
         if lacking:
             what = "a gyro without bias" if "any" in lacking else "the largest rate over a turn"
             raise ValueError(f"method = {self.method!r}: needs {what}, which dwells do not give; choose "
@@ -51,20 +60,32 @@ class JointError(ValueError):
     """Raised when a message does not have the table's joint, with what to do."""
 
 
-def table_angle(positions, joint_name):
-    """Return the table angle of a JointState, rad.
+def imu_sample(raw):
+    """Return stamp_ns, gyro_b (3,) rad/s and accel_b (3,) m/s^2 of a serialized sensor_msgs/Imu.
+
+    Raises
+    ------
+    nav_ros.messages.MalformedMessageError
+    """
+    stamp_ns, _, values = decode(IMU, raw)
+    return stamp_ns, swap_flu_frd(values[GYRO]), swap_flu_frd(values[ACCEL])
+
+
+def joint_sample(raw, joint_name):
+    """Return stamp_ns and the table angle, rad, of a serialized sensor_msgs/JointState.
 
     Parameters
     ----------
-    positions : dict
-        Joint name -> position, rad.
+    raw : bytes
     joint_name : str
         Empty: the only joint there.
 
     Raises
     ------
+    nav_ros.messages.MalformedMessageError
     JointError
     """
+    stamp_ns, positions = decode_joints(raw)
     if not joint_name and len(positions) == 1:
         (position,) = positions.values()
     elif joint_name in positions:
@@ -75,83 +96,36 @@ def table_angle(positions, joint_name):
         raise JointError(f"{what}; joints there: {there}")
     if not math.isfinite(position):
         raise JointError(f"position of the joint is {position}")
-    return -position
+    return stamp_ns, -position
 
 
-def joint_position(angle):
-    """Return the joint's position of a table angle, rad."""
-    return 0.0 - angle  # no negative zero
-
-
-def level_values(level):
+def level_values(solution):
     """Return roll, pitch (REP-103: nose down is positive) and 0: the doubles of a Vector3Stamped."""
-    roll, pitch, _ = rpy_from_euler(float(level.roll), float(level.pitch), 0.0)
+    roll, pitch, _ = rpy_from_euler(solution.roll, solution.pitch, 0.0)
     return np.array([roll, pitch, 0.0])
 
 
-def attitude_values(result, believable):
-    """Return the doubles of a sensor_msgs/Imu with the table's orientation and its covariance.
+def attitude_values(solution):
+    """Return the doubles of a sensor_msgs/Imu with the orientation and its covariance.
 
-    The covariance is that of a small rotation about east, north and up; level and heading count as
-    independent.
+    The covariance is that of a small rotation about east, north and up. Where no heading may be believed
+    there is no orientation: the first covariance is -1.
 
     Parameters
     ----------
-    result : alignment.station.AlignmentResult
-    believable : bool
-        Without it there is no orientation: the first covariance is -1.
+    solution : alignment.views.Solution or None
     """
     values = np.zeros(DOUBLES[IMU])
     values[[GYRO_COVARIANCE.start, ACCEL_COVARIANCE.start]] = -1.0
     values[ORIENTATION] = [0.0, 0.0, 0.0, 1.0]
     values[ORIENTATION_COVARIANCE.start] = -1.0
-    if believable:
-        level, north = result.level, result.north
-        roll, pitch, heading = float(level.roll), float(level.pitch), float(north.heading)
-        q_nb_wxyz = quaternion_from_dcm(dcm_nb_from_euler(roll, pitch, heading))
-        values[ORIENTATION] = orientation_from_q_nb(q_nb_wxyz)
-        covariance = np.zeros((3, 3))
-        covariance[:2, :2], covariance[2, 2] = level.covariance, north.variance
-        turns_n = _rotation_of_angles(pitch, heading)
-        values[ORIENTATION_COVARIANCE] = swap_enu_ned_covariance(turns_n @ covariance @ turns_n.T).ravel()
+    if solution is not None and solution.believable:
+        dcm_nb = dcm_nb_from_euler(solution.roll, solution.pitch, solution.heading)
+        values[ORIENTATION] = orientation_from_q_nb(quaternion_from_dcm(dcm_nb))
+        values[ORIENTATION_COVARIANCE] = swap_enu_ned_covariance(solution.covariance_n).ravel()
     return values
 
 
-def yaw_of(result):
-    """Return the yaw in ENU, rad, counter-clockwise from east, of a result's heading."""
-    return float(rpy_from_euler(0.0, 0.0, float(result.north.heading))[2])
-
-
-def _rotation_of_angles(pitch, heading):
-    """Return the matrix that takes changes of roll, pitch and heading to a small rotation in NED."""
-    sp, cp, sh, ch = math.sin(pitch), math.cos(pitch), math.sin(heading), math.cos(heading)
-    return np.array([[cp * ch, -sh, 0.0], [cp * sh, ch, 0.0], [-sp, 0.0, 1.0]])
-
-
-def status_values(session):
-    """Return key -> value of what a session knows, as ``alignment/status`` and ``align_bag`` tell it.
-
-    Parameters
-    ----------
-    session : alignment.session.TableSession
-    """
-    params, result = session.params, session.result
-    values = {"phase": session.phase, "method": params.method, "levelling": params.levelling,
-              "sequence": params.sequence, "dwells": len(session.dwells),
-              "dwells_rejected": len(session.rejected)}
-    if result is None:
-        return values
-    level, north = result.level, result.north
-    roll_std, pitch_std = np.sqrt(np.diag(level.covariance))
-    values |= {"roll_deg": math.degrees(level.roll), "roll_sigma_deg": math.degrees(roll_std),
-               "pitch_deg": math.degrees(level.pitch), "pitch_sigma_deg": math.degrees(pitch_std),
-               "accel_scale": float(level.scale), "accel_bias": float(level.bias)}
-    if north is None:
-        return values
-    flags = north.flags | level.flags
-    return values | {
-        "heading_deg": math.degrees(north.heading) % 360.0, "heading_sigma_deg": math.degrees(north.std),
-        "heading_floor_deg": math.degrees(result.floor), "target_sigma_deg": math.degrees(params.target_std),
-        "time_to_target_s": float(result.time_left), "gyro_bias_deg_h": math.degrees(north.bias) * 3600.0,
-        "gyro_scale": float(north.scale), "chi2": float(north.chi2), "believable": not session.refusal,
-        "flags": ", ".join(flag.name for flag in type(flags) if flag in flags) or "none"}
+def yaw_of(solution):
+    """Return the yaw in ENU, rad, counter-clockwise from east."""
+    return float(rpy_from_euler(0.0, 0.0, solution.heading)[2])

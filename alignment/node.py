@@ -1,8 +1,8 @@
-"""alignment_node: an IMU on a turntable and the table's joint in, level and true heading out.
+"""alignment_node: an IMU at rest in, level and true heading out; on a turntable or in a standing vehicle.
 
-Topics, services and parameters: README; what it does: docs/alignment.md. The node drives nothing: it says
-which angle it wants, in the status, on ``table/command`` and by ``~/next_position``, and takes every dwell by
-the joint's own stamps.
+Topics, services and parameters: README; what it does: docs/alignment.md. The node drives nothing. Of a table it
+says which angle it wants, in the status, on ``table/command`` and by ``~/next_position``, and takes every dwell
+by the joint's own stamps.
 """
 
 import difflib
@@ -27,25 +27,14 @@ from alignment.edge import (
     AlignmentNodeParams,
     JointError,
     attitude_values,
-    joint_position,
+    imu_sample,
+    joint_sample,
     level_values,
-    status_values,
-    table_angle,
     yaw_of,
 )
-from alignment.session import TableSession, warm_up
+from alignment.views import open_view
 from nav_ros.diagnostics import Level, Report, StreamMeter, diagnostic_array
-from nav_ros.frames import swap_flu_frd
-from nav_ros.messages import (
-    ACCEL,
-    GYRO,
-    IMU,
-    VECTOR,
-    MalformedMessageError,
-    StampedEncoder,
-    decode,
-    decode_joints,
-)
+from nav_ros.messages import IMU, VECTOR, MalformedMessageError, StampedEncoder
 from nav_ros.parameters import declare_parameters, on_change, parameter_names
 from nav_ros.sensor_loop import SensorGroup, run_sensor_node
 
@@ -63,16 +52,19 @@ class AlignmentNode(Node):
     def __init__(self):
         super().__init__("alignment_node")
         self._params = declare_parameters(self, AlignmentNodeParams)
-        warm_up(self._params)
-        self._session = TableSession(self._params)
+        self._view = open_view(self._params)
+        self._session = self._view.session
         self._fixed_latitude = not math.isnan(self._params.latitude)
         self._counts, self._last_fault = Counter(), {}
-        self._meters = {"imu/data_raw": StreamMeter(), "joint_states": StreamMeter()}
-        self._stamp_ns = {"imu/data_raw": 0, "joint_states": 0}
+        takes = {"imu": (Imu, "imu/data_raw", self._take_imu),
+                 "joints": (JointState, "joint_states", self._take_joint)}
+        sensors = [takes[key] for key in self._view.inputs]
+        self._meters = {topic: StreamMeter() for _, topic, _ in sensors}
+        self._stamp_ns = dict.fromkeys(self._meters, 0)
         self._slot = None
         self._encoders = {"alignment/level": StampedEncoder(VECTOR, self._params.base_frame),
                           "alignment/attitude": StampedEncoder(IMU, self._params.base_frame)}
-        on_change(self, self._params, self._apply)
+        on_change(self, self._params, self._apply, check=self._view.check)
         self._level, self._attitude, self._heading, self._status, self._command = (
             self.create_publisher(kind, topic, OUTPUT_QOS) for kind, topic in (
                 (Vector3Stamped, "alignment/level"), (Imu, "alignment/attitude"),
@@ -83,8 +75,7 @@ class AlignmentNode(Node):
             self.create_service(Trigger, f"~/{name}", getattr(self, f"_on_{name}"))
         self.create_timer(REPORT_PERIOD, self._report)
         self._sensor_group = SensorGroup()
-        self.sensors = [self._subscribe(JointState, "joint_states", self._take_joint),
-                        self._subscribe(Imu, "imu/data_raw", self._take_imu)]
+        self.sensors = [self._subscribe(*sensor) for sensor in sensors]
         self.create_subscription(NavSatFix, "fix", self._on_fix, SENSOR_QOS)
         self._tell_unknown_parameters()
         self.get_logger().info("ready")
@@ -127,16 +118,12 @@ class AlignmentNode(Node):
     # --- input
 
     def _take_imu(self, raw):
-        stamp_ns, _, values = decode(IMU, raw)
-        if not self._accept("imu/data_raw", stamp_ns):
-            return
-        gyro_b, accel_b = swap_flu_frd(values[GYRO]), swap_flu_frd(values[ACCEL])
-        changed = self._session.add_imu(stamp_ns, gyro_b, accel_b)
-        self._tell(changed, stamp_ns)
+        stamp_ns, gyro_b, accel_b = imu_sample(raw)
+        if self._accept("imu/data_raw", stamp_ns):
+            self._tell(self._session.add_imu(stamp_ns, gyro_b, accel_b), stamp_ns)
 
     def _take_joint(self, raw):
-        stamp_ns, positions = decode_joints(raw)
-        angle = table_angle(positions, self._params.joint_name)
+        stamp_ns, angle = joint_sample(raw, self._params.joint_name)
         if self._accept("joint_states", stamp_ns):
             self._tell(self._session.add_joint(stamp_ns, angle), self._stamp_ns["imu/data_raw"])
 
@@ -177,7 +164,7 @@ class AlignmentNode(Node):
             if good:
                 self.get_logger().info(text)
             else:
-                self._fault("dwell_rejected", text, Level.WARN)
+                self._fault(self._view.setback, text, Level.WARN)
         slot = stamp_ns // round(1e9 / self._params.output_rate)
         if stamp_ns and (changed or slot != self._slot):
             self._slot = slot
@@ -187,29 +174,32 @@ class AlignmentNode(Node):
             self._status.publish(self._status_message())
 
     def _publish(self, stamp_ns):
-        result, believable = self._session.result, not self._session.refusal
-        values = attitude_values(result, believable)
-        self._attitude.publish(self._encoders["alignment/attitude"].encode(stamp_ns, values))
-        if result is not None and math.isfinite(result.level.roll):
-            values = level_values(result.level)
-            self._level.publish(self._encoders["alignment/level"].encode(stamp_ns, values))
-        if believable:
-            self._heading.publish(self._heading_message(stamp_ns, result))
+        solution = self._view.solution
+        if solution is not None and solution.stamp_ns is not None:
+            stamp_ns = solution.stamp_ns
+        encoder = self._encoders["alignment/attitude"]
+        self._attitude.publish(encoder.encode(stamp_ns, attitude_values(solution)))
+        if solution is None:
+            return
+        self._level.publish(self._encoders["alignment/level"].encode(stamp_ns, level_values(solution)))
+        if solution.believable:
+            self._heading.publish(self._heading_message(stamp_ns, solution))
 
-    def _heading_message(self, stamp_ns, result):
+    def _heading_message(self, stamp_ns, solution):
         message = PoseWithCovarianceStamped()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
         message.header.frame_id = self._params.world_frame
-        yaw = yaw_of(result)
+        yaw = yaw_of(solution)
         orientation = message.pose.pose.orientation
         orientation.z, orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
-        variances = [UNKNOWN_VARIANCE] * 5 + [float(result.north.variance)]
+        variances = [UNKNOWN_VARIANCE] * 5 + [solution.heading_var]
         message.pose.covariance = np.diag(variances).ravel()
         return message
 
     def _publish_command(self):
-        if self._session.running:
-            self._command.publish(Float64(data=joint_position(self._session.wanted)))
+        joint = self._view.wanted_joint
+        if joint is not None:
+            self._command.publish(Float64(data=joint))
 
     # --- services and parameters
 
@@ -221,32 +211,24 @@ class AlignmentNode(Node):
 
     def _on_start(self, _request, response):
         self._session.start()
-        self._publish_command()
-        response.success, response.message = True, f"aligns; {self._next_position()}"
-        return response
+        return self._answer(response, f"aligns; {self._view.next_step}")
 
     def _on_stop(self, _request, response):
         changed = self._session.stop()
         self._tell(changed, self._stamp_ns["imu/data_raw"])
-        response.success, response.message = True, f"stopped after {len(self._session.dwells)} dwells"
-        return response
+        return self._answer(response, f"stopped after {self._view.gathered}")
 
     def _on_reset(self, _request, response):
         self._session.reset()
-        self._publish_command()
-        response.success, response.message = True, f"starts anew; {self._next_position()}"
-        return response
+        return self._answer(response, f"starts anew; {self._view.next_step}")
 
     def _on_next_position(self, _request, response):
-        self._publish_command()
-        response.success, response.message = self._session.running, self._next_position()
-        if not self._session.running:
-            response.message = "stopped: call ~/start"
-        return response
+        return self._answer(response, self._view.next_step, self._session.running)
 
-    def _next_position(self):
-        joint = joint_position(self._session.wanted)
-        return f"turn the joint to {joint:.6f} rad ({math.degrees(joint):.2f} deg)"
+    def _answer(self, response, text, success=True):
+        self._publish_command()
+        response.success, response.message = success, text
+        return response
 
     # --- diagnostics
 
@@ -255,7 +237,7 @@ class AlignmentNode(Node):
         self._counts[name] += 1
         self._last_fault[name] = (level, text)
         count = self._counts[name]
-        if count == 10 ** round(math.log10(count)) or name == "dwell_rejected":
+        if count == 10 ** round(math.log10(count)) or name == self._view.setback:
             told = text if count == 1 else f"{text} ({count} times)"
             # Two calls: rclpy refuses one that logs with a severity and later with another.
             if level == Level.ERROR:
@@ -275,23 +257,15 @@ class AlignmentNode(Node):
         return diagnostic_array(0, [self._make_report()]).status[0]
 
     def _make_report(self):
-        session, now_ns = self._session, self._now_ns()
         report = Report(f"{self.get_fully_qualified_name().lstrip('/')}: alignment", self._params.base_frame)
-        for key, value in status_values(session).items():
+        for key, value in (self._view.status() | self._view.activity()).items():
             report.value(key, value)
-        report.value("latitude_deg", math.degrees(session.params.latitude))
-        report.value("table", session.activity)
-        report.value("joint_rad", joint_position(session.table_angle))
-        report.value("next_joint_rad", joint_position(session.wanted))
-        if session.rejected:
-            report.value("last_rejection", session.rejected[-1].rejection)
-        report.counters(dict(self._counts) | {"gaps": session.gaps, "samples_without_angle": session.lost})
-        self._report_streams(report, now_ns)
-        if session.refusal:
-            result = session.result
-            bad_input = result is not None and (
-                bool(result.level.flags) or result.north is not None and not result.believable)
-            report.fault(Level.ERROR if bad_input else Level.WARN, f"no heading: {session.refusal}")
+        report.value("latitude_deg", math.degrees(self._session.params.latitude))
+        report.counters(self._counts)
+        self._report_streams(report, self._now_ns())
+        if self._session.refusal:
+            report.fault(Level.ERROR if self._view.bad_input else Level.WARN,
+                         f"no heading: {self._session.refusal}")
         for level, text in self._last_fault.values():
             report.fault(level, text)
         return report

@@ -154,7 +154,7 @@ def test_bad_input_is_told_and_survived(bench):
 
 
 @pytest.mark.parametrize("given, reason", [
-    ("method:=azimuth_3", "dwells do not give"), ("method:=ekf10", "must be one of"),
+    ("method:=azimuth_3", "dwells do not give"), ("method:=ekf11", "must be one of"),
     ("latitude:=35.0", "latitude = 35.0 rad"), ("sequence:=random", "sequence")])
 def test_parameters_that_cannot_be_end_the_start_in_one_line(bench, given, reason):
     node = bench.start("alignment_node", "-p", given)
