@@ -19,6 +19,8 @@ study: ## rewrite the tables of docs/results
 	@scripts/run study python3 -m studies.recordings
 	@scripts/run study python3 -m studies.attitude
 	@scripts/run study python3 -m studies.north_finding
+	@scripts/run study python3 -m studies.strapdown
+	@scripts/run study python3 -m studies.helicopter
 
 bags: ## rewrite the bundled bags, byte for byte the same
 	@scripts/run study scripts/make_bags bags

@@ -74,6 +74,8 @@ setup(
             "study_recordings = studies.recordings:main",
             "study_attitude = studies.attitude:main",
             "study_north_finding = studies.north_finding:main",
+            "study_strapdown = studies.strapdown:main",
+            "study_helicopter = studies.helicopter:main",
         ],
     },
 )
