@@ -63,7 +63,7 @@ REJECTION_TIME = 1.0  # s of rejected zero velocities that count as motion, or o
 # --- shared -----------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _rotation(x, y, z, out):
     """Fill out (3, 3) with exp([v x])."""
     a, b, _, _ = zoh_coefficients(math.sqrt(x * x + y * y + z * z))
@@ -72,7 +72,7 @@ def _rotation(x, y, z, out):
     out[2, 0], out[2, 1], out[2, 2] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _multiply(a, b, n, out):
     """Fill out (n, n) with a b."""
     for i in range(n):
@@ -83,7 +83,15 @@ def _multiply(a, b, n, out):
             out[i, j] = total
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def _copy(a, out):
+    """Fill out (3, 3) with a. A slice would do it, but takes seven seconds to compile."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, j]
+
+
+@njit(cache=True, error_model="numpy")
 def _orthonormalise(r):
     """Take the rounding out of a rotation matrix, first order: R (3 I - R^T R) / 2."""
     g = np.empty((3, 3))
@@ -93,10 +101,10 @@ def _orthonormalise(r):
         g[i, i] += 1.5
     out = np.empty((3, 3))
     _multiply(r, g, 3, out)
-    r[:] = out
+    _copy(out, r)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _carry(P, F, n, scratch):
     """Replace P by F P F^T; F may be sparse."""
     for i in range(n):
@@ -119,7 +127,7 @@ def _carry(P, F, n, scratch):
             P[i, j] = P[j, i]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _update(P, h, n, z, variance, gain, delta):
     """Scalar Kalman update with row h: add the correction to delta, shrink P.
 
@@ -141,7 +149,7 @@ def _update(P, h, n, z, variance, gain, delta):
             P[i, j] -= k * gain[j]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _innovation_variance(P, h, n):
     total = 0.0
     for i in range(n):
@@ -151,7 +159,7 @@ def _innovation_variance(P, h, n):
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _quaternion(r, out):
     """Fill out[0:4] with the unit quaternion of a rotation matrix, scalar first and >= 0 (Shepperd, 1978)."""
     trace = r[0, 0] + r[1, 1] + r[2, 2]
@@ -176,7 +184,7 @@ def _quaternion(r, out):
         out[i] /= norm
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _judge(nis, dt, moving_sensors, c, q):
     """Return the weight of a zero velocity, 0 for none, and an event; keep count of motion."""
     root = math.sqrt(nis / 3.0)
@@ -202,7 +210,7 @@ def _judge(nis, dt, moving_sensors, c, q):
     return weight, NOTHING
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _adapt(z, s, count, c, q):
     """Learn from the mean innovation of a block how noisy the zero velocities are; return an event.
 
@@ -233,7 +241,7 @@ def _adapt(z, s, count, c, q):
 # --- samples to steps, and the coarse alignment -------------------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def reduce_samples(acc, dt, gyro_b, accel_b, period, steps, ends):
     """Sum samples up to steps of at least ``period`` s; return how many steps were completed.
 
@@ -256,7 +264,8 @@ def reduce_samples(acc, dt, gyro_b, accel_b, period, steps, ends):
             r[i, j] = acc[A_ROTATION + 3 * i + j]
     for k in range(len(dt)):
         if acc[A_DT] == 0.0:
-            acc[:] = 0.0
+            for i in range(A_SIZE):
+                acc[i] = 0.0
             for i in range(3):
                 for j in range(3):
                     r[i, j] = 1.0 if i == j else 0.0
@@ -286,7 +295,7 @@ def reduce_samples(acc, dt, gyro_b, accel_b, period, steps, ends):
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _close_step(acc, r, step):
     q = np.empty(4)
     _quaternion(r, q)
@@ -299,7 +308,7 @@ def _close_step(acc, r, step):
         step[STEP_MEAN_DVEL + i] = acc[A_POSITION + i] / acc[A_DT]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def run_coarse(c, sums, bias, steps):
     """Add steps to the sums of the optimisation-based alignment (Wu and Pan, 2013).
 
@@ -317,7 +326,8 @@ def run_coarse(c, sums, bias, steps):
     """
     r, turn, both = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     if sums[O_TIME] == 0.0:
-        sums[:] = 0.0
+        for i in range(O_SIZE):
+            sums[i] = 0.0
         for i in range(3):
             sums[O_BODY + 4 * i] = 1.0
     for i in range(3):
@@ -350,7 +360,7 @@ def run_coarse(c, sums, bias, steps):
 # --- filters with an attitude and a velocity of their own ---------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def group_step(model, c, R, m, step, turn, half, after, F, H):
     """Carry attitude and velocity over a step and fill transition F and measurement rows H.
 
@@ -416,10 +426,10 @@ def group_step(model, c, R, m, step, turn, half, after, F, H):
     _multiply(half, turn, 3, R)
     _rotation(-t * wx, -t * wy, -t * wz, turn)
     _multiply(turn, R, 3, half)
-    R[:] = half
+    _copy(half, R)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _add_cross(F, i, j, x, y, z):
     """Add [v x] to the block of F at (i, j)."""
     F[i, j + 1] -= z
@@ -430,13 +440,13 @@ def _add_cross(F, i, j, x, y, z):
     F[i + 2, j + 1] += x
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _correct_group(model, R, m, delta, turn, scratch):
     """Take the estimated error off attitude, velocity and biases."""
     x, y, z = -delta[0], -delta[1], -delta[2]
     _rotation(x, y, z, turn)
     _multiply(turn, R, 3, scratch)
-    R[:] = scratch
+    _copy(scratch, R)
     if model == MEKF:
         for i in range(3):
             m[M_V + i] -= delta[3 + i]
@@ -456,7 +466,7 @@ def _correct_group(model, R, m, delta, turn, scratch):
             m[M_BG + i] -= delta[6 + i]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _group_noise(model, c, step, half_axes, q, P):
     """Add the noise of a step to P; rotation adds what the gyros' scale factors are off."""
     t = step[STEP_DT]
@@ -483,7 +493,7 @@ def _group_noise(model, c, step, half_axes, q, P):
                                      + half_axes[j, 2] * step[STEP_DTHETA + 2])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def run_group(model, c, R, m, P, q, steps, rows):
     """Run riekf6, riekf12 or mekf over steps; return how many were used and the event that stopped it.
 
@@ -541,7 +551,7 @@ def run_group(model, c, R, m, P, q, steps, rows):
     return len(steps), NOTHING
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def group_row(model, R, m, P, q, row):
     """Fill a row of output."""
     _quaternion(R, row)
@@ -560,7 +570,7 @@ def group_row(model, R, m, P, q, row):
 # --- filters of the computed-frame error model --------------------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def model_rate(c, n, x, f, R, out):
     """Fill out with the rate f(x) of the error model, n = 5 or 10.
 
@@ -590,7 +600,7 @@ def model_rate(c, n, x, f, R, out):
             out[i] = 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def model_jacobian(c, n, x, f, R, A):
     """Fill A (n, n) with the Jacobian of :func:`model_rate`.
 
@@ -631,7 +641,7 @@ def model_jacobian(c, n, x, f, R, A):
                 A[2 + i, 5 + j] = -R[i, j]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def strapdown_step(c, R, m, dt, gyro_b, accel_b, bias, turn, scratch):
     """Carry the computed attitude R and the horizontal velocity over a sample; store the force in m.
 
@@ -657,10 +667,10 @@ def strapdown_step(c, R, m, dt, gyro_b, accel_b, bias, turn, scratch):
     m[M_V + 1] += dt * (east - h * (wz * m[M_FORCE] - wx * m[M_FORCE + 2]))
     _rotation(-dt * wx, -dt * wy, -dt * wz, turn)
     _multiply(turn, R, 3, scratch)
-    R[:] = scratch
+    _copy(scratch, R)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def computed_frame(x, out):
     """Fill out (3, 3) with C_n^n' = (I - phi_h x) Rz(phiD)."""
     cs, sn = math.cos(x[4]), math.sin(x[4])
@@ -670,7 +680,7 @@ def computed_frame(x, out):
     out[2, 0], out[2, 1], out[2, 2] = pe * cs + pn * sn, pe * sn - pn * cs, 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _true_attitude(R, x, frame, out):
     """Fill out with C_b^n = (C_n^n')^T C_b^n'."""
     computed_frame(x, frame)
@@ -681,7 +691,7 @@ def _true_attitude(R, x, frame, out):
         _orthonormalise(out)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fill_gain(p, ratio, dt, F, rows, gain, weight):
     """Fill what the IPA needs until its gain is computed again, for unit Qm.
 
@@ -734,7 +744,7 @@ def fill_gain(p, ratio, dt, F, rows, gain, weight):
             gain[i, j] = total
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _invert(a, n):
     """Replace a symmetric positive definite matrix by its inverse (Gauss-Jordan, no pivoting needed)."""
     for k in range(n):
@@ -750,7 +760,7 @@ def _invert(a, n):
                     a[i, j] -= factor * a[k, j]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _model_error(c, dt, m, y, R, before, now, ipa, increment):
     """Fill the IPA's first increment Dm* and return the cost J* (the page's free response, gain and cost)."""
     rows, gain, weight, free, e = ipa
@@ -784,7 +794,7 @@ def _model_error(c, dt, m, y, R, before, now, ipa, increment):
     return cost
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _factor(P, n, L):
     """Fill L with the lower Cholesky factor of P; a pivot that rounding made negative counts as zero."""
     for j in range(n):
@@ -800,7 +810,7 @@ def _factor(P, n, L):
             L[i, j] = total * inverse
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _unscented(c, dt, m, R, P, L, points, rate):
     """Carry mean and covariance through the model by sigma points (paper, B-2 to B-5), n = 10."""
     n = 10
@@ -837,11 +847,11 @@ def _unscented(c, dt, m, R, P, L, points, rate):
             P[i, j] = P[j, i] = total
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _feed_back(n, R, m, frame, scratch):
     """Correct the strapdown by the state and start the state anew at zero, its predecessor shifted alike."""
     _true_attitude(R, m[M_X:M_X + 10], frame, scratch)
-    R[:] = scratch
+    _copy(scratch, R)
     for i in range(2):
         m[M_V + i] -= m[M_X + i]
     if n == 10:
@@ -852,7 +862,7 @@ def _feed_back(n, R, m, frame, scratch):
         m[M_X + i] = 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, every, rows):
     """Run ekf5, ekf10, ukf10 or ipekf over samples; return how many were used and the event that stopped it.
 
@@ -885,7 +895,8 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
         for i in range(3):
             q[Q_EAST + i] += t * R[1, i]
             m[M_FORCE_BEFORE + i] = f[i]
-        bias[:] = m[M_BG:M_BG + 6]
+        for i in range(6):
+            bias[i] = m[M_BG + i]
         z[0], z[1] = m[M_V], m[M_V + 1]
         strapdown_step(c, R, m, t, gyro_b[k], accel_b[k], bias, turn, small)
         q[Q_TIME] += t
@@ -901,8 +912,10 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
                 A[i, i] += 1.0
             if model == IPEKF:
                 if q[Q_STARTED] == 0.0:
-                    m[M_BEFORE:M_BEFORE + 10] = x
-                    m[M_FORCE_BEFORE:M_FORCE_BEFORE + 3] = f
+                    for i in range(5):
+                        m[M_BEFORE + i] = x[i]
+                    for i in range(3):
+                        m[M_FORCE_BEFORE + i] = f[i]
                 if q[Q_STARTED] == 0.0 or q[Q_SINCE_GAIN] >= c[C_GAIN_PERIOD] - 0.5 * t:
                     fill_gain(len(ipa[0]), c[C_WEIGHT_RATIO], t, A, ipa[0], ipa[1], ipa[2])
                     q[Q_SINCE_GAIN] = 0.0
@@ -960,7 +973,7 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
     return len(dt), NOTHING
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def error_model_row(model, R, m, P, q, row):
     """Fill a row of output: attitude, velocity and biases with the state taken off."""
     n = 5 if model in (EKF5, IPEKF) else 10
