@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from inertial.helicopter import helicopter_flight
 from inertial.trajectory import Profile, car, flight, multirotor
 
 _PACES = (1.0, 1.12, 0.95, 1.05)
@@ -68,6 +69,17 @@ _QUAD = [
     (2.5, -6, -4, 0, -40), (2, -6, -4, 0, 0), (2, -4, 4, 2, 0), (2.5, 3, -3, -2, 60),
     (2, -4, 0, 0, 0), (2, 0, -5, 0, -60), (3, 3, 0, 0, 0), (2, 0, 0, 0, 0),
 ]
+# Rows: seconds, roll deg, pitch deg, turn rate deg/s, climb rate m/s.
+_HELICOPTER_LIFT_OFF = [(3, 0, 0, 0, 2), (2, 0, 0, 0, 2), (3, 0, 0, 0, 0)]
+_HELICOPTER = [
+    # Ahead and to a stop, sideways and to a stop, about.
+    (2, 0, -10, 0, 1), (4, 2, -6, 3, 0), (2, 0, 0, 0, 0), (3, -1, -3, 0, 0), (2.5, 0, 12, 0, 0),
+    (2.5, 0, 9, 0, 0), (2, 0, 0, 0, 0), (1.5, 12, 1, 0, 0), (2, 9, 0, -4, 0), (1.5, 0, 0, 0, 0),
+    (1.5, -12, 0, 0, 0), (1.5, -8, 1, 0, 0), (1.5, 0, 0, 0, 0), (3, 1, 0, 30, 0), (3, 0, 0, 0, 0),
+    # A brisk turn, a quick stop.
+    (1.5, 0, -18, 0, 0), (3, 0, -11, 0, 0), (2, 20, -4, 25, -1), (4, 16, 0, 25, 0), (2, 0, 4, 0, 0),
+    (2, -6, 20, 0, 0), (2, -3, 15, 0, 0), (2, 0, 0, -20, 0), (2, 1, 0, 0, 0), (3, 0, 2, 0, 0), (2, 0, 0, 0, 0),
+]
 # Rows: seconds, speed m/s.
 _TRAFFIC = [
     (10, 14), (8, 14), (5, 6), (6, 6), (6, 12), (10, 12), (5, 0), (4, 0), (7, 9), (6, 9),
@@ -100,6 +112,14 @@ def _multirotor(cycle):
         rows[:, 4] = np.radians(rows[:, 4])
         return multirotor(*_profiles(rest, rows), gravity)
     return motion
+
+
+def _helicopter(duration, rest, gravity):
+    del gravity
+    rows = np.concatenate([_HELICOPTER_LIFT_OFF, _repeat(_HELICOPTER, duration, mirror=[1, -1, 1, -1, -1])])
+    rows[:, 1:4] = np.radians(rows[:, 1:4])
+    knots = rest + np.concatenate([[0.0], np.cumsum(rows[:, 0])])
+    return helicopter_flight(knots, *_profiles(rest, rows))
 
 
 def _car(duration, rest, gravity):
@@ -141,6 +161,8 @@ SCENARIOS = {
                           _aircraft(_AEROBATIC, 45, 0.3)),
     "car": Scenario("a car in stop-and-go traffic with bends, hills and hard braking", _car),
     "quad": Scenario("a multirotor that darts about, tilting up to 50 deg", _multirotor(_QUAD)),
+    "helicopter": Scenario("a small helicopter under its controller: dashes, sidesteps, brisk turns, quick stops",
+                           _helicopter),
 }
 
 

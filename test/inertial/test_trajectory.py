@@ -85,7 +85,8 @@ def test_every_scenario_begins_at_rest_and_then_moves(name):
 LIMITS = {  # speed m/s, least and greatest load factor, rate deg/s
     "straight": (30, 0.4, 1.6, 20), "hover": (3, 0.8, 1.2, 10), "turn": (30, 0.4, 1.6, 60),
     "vertical_plane": (60, -1.2, 3.8, 60), "aerobatic": (60, -1.2, 4.5, 250),
-    "car": (15, 0.85, 1.15, 30), "quad": (10, 0.7, 2.0, 150)}
+    "car": (15, 0.85, 1.15, 30), "quad": (10, 0.7, 2.0, 150),
+    "helicopter": (16, 0.8, 1.25, 40)}
 
 
 @ALL
