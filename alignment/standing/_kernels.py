@@ -25,12 +25,12 @@ PAPER_LITERAL, CLOSED_LOOP, RESIDUAL = range(3)
 (A_ROTATION, A_DT, A_DVEL, A_POSITION, A_SIZE) = (0, 9, 10, 13, 16)
 
 CONSTANT_NAMES = (
-    "earth_north", "earth_down", "gravity", "radius", "tan_latitude", "gyro_var", "accel_var", "gyro_walk_var",
-    "accel_walk_var", "scale_var", "zero_velocity_var", "zero_velocity_period", "robust", "adaptive",
+    "earth_north", "earth_down", "gravity", "radius", "tan_latitude", "gyro_var", "accel_var", "gyro_flicker_var",
+    "accel_flicker_var", "bias_time", "scale_var", "zero_velocity_var", "zero_velocity_period", "robust", "adaptive",
     "turning_allowed", "largest_rate", "largest_velocity", "feedback_period", "mended", "variant", "horizon",
     "weight_ratio", "gain_period")
-(C_EARTH_NORTH, C_EARTH_DOWN, C_GRAVITY, C_RADIUS, C_TAN_LATITUDE, C_GYRO_VAR, C_ACCEL_VAR, C_GYRO_WALK_VAR,
- C_ACCEL_WALK_VAR, C_SCALE_VAR, C_ZERO_VAR, C_ZERO_PERIOD, C_ROBUST, C_ADAPTIVE,
+(C_EARTH_NORTH, C_EARTH_DOWN, C_GRAVITY, C_RADIUS, C_TAN_LATITUDE, C_GYRO_VAR, C_ACCEL_VAR, C_GYRO_FLICKER_VAR,
+ C_ACCEL_FLICKER_VAR, C_BIAS_TIME, C_SCALE_VAR, C_ZERO_VAR, C_ZERO_PERIOD, C_ROBUST, C_ADAPTIVE,
  C_TURNING_ALLOWED, C_LARGEST_RATE, C_LARGEST_VELOCITY, C_FEEDBACK_PERIOD, C_MENDED, C_VARIANT, C_HORIZON,
  C_WEIGHT_RATIO, C_GAIN_PERIOD) = range(len(CONSTANT_NAMES))
 
@@ -52,6 +52,7 @@ CONSTANT_NAMES = (
 
 NOTHING, MOVED, STANDS, ALARM = range(4)  # what a run stopped for
 
+FLICKER = 2.0  # growth of a bias variance with the logarithm of time, in squares of the Allan deviation floor
 HUBER = 2.0  # standard deviations within which a zero velocity has its full weight
 GATE = 8.0  # standard deviations beyond which it is no zero velocity
 BLOCK = 10  # zero velocities whose mean innovation tells what noise the slow motion of the vehicle makes
@@ -467,6 +468,15 @@ def _correct_group(model, R, m, delta, turn, scratch):
 
 
 @njit(cache=True, error_model="numpy")
+def _drift(c, q, t):
+    """Return by how much the variance of a bias grows over t, in squares of its instability.
+
+    1/f noise wanders by about the same amount in every octave of time, so the variance grows as its logarithm.
+    """
+    return FLICKER * t / min(max(q[Q_TIME], 1.0), c[C_BIAS_TIME])
+
+
+@njit(cache=True, error_model="numpy")
 def _group_noise(model, c, step, half_axes, q, P):
     """Add the noise of a step to P; rotation adds what the gyros' scale factors are off."""
     t = step[STEP_DT]
@@ -474,9 +484,10 @@ def _group_noise(model, c, step, half_axes, q, P):
         P[i, i] += t * c[C_GYRO_VAR]
         P[3 + i, 3 + i] += t * c[C_ACCEL_VAR]
     if model != RIEKF6:
+        drift = _drift(c, q, t)
         for i in range(3):
-            P[6 + i, 6 + i] += t * c[C_GYRO_WALK_VAR]
-            P[9 + i, 9 + i] += t * c[C_ACCEL_WALK_VAR]
+            P[6 + i, 6 + i] += drift * c[C_GYRO_FLICKER_VAR]
+            P[9 + i, 9 + i] += drift * c[C_ACCEL_FLICKER_VAR]
     angle2 = step[STEP_DTHETA] ** 2 + step[STEP_DTHETA + 1] ** 2 + step[STEP_DTHETA + 2] ** 2
     if angle2 < (c[C_LARGEST_RATE] * t) ** 2:
         q[Q_TURN] = 0.0
@@ -936,11 +947,10 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
         P[1, 1] += t * c[C_ACCEL_VAR]
         for i in range(3):
             P[2 + i, 2 + i] += t * c[C_GYRO_VAR]
-            if n == 10:
-                P[5 + i, 5 + i] += t * c[C_GYRO_WALK_VAR]
         if n == 10:
-            P[8, 8] += t * c[C_ACCEL_WALK_VAR]
-            P[9, 9] += t * c[C_ACCEL_WALK_VAR]
+            drift = _drift(c, q, t)
+            for i in range(5):
+                P[5 + i, 5 + i] += drift * (c[C_GYRO_FLICKER_VAR] if i < 3 else c[C_ACCEL_FLICKER_VAR])
 
         event = NOTHING
         q[Q_SINCE_UPDATE] += t

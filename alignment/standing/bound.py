@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from alignment.standing._kernels import FLICKER
 from alignment.standing.coarse import UNKNOWN_HEADING_STD
 from alignment.standing.filters import VELOCITY_STD, bias_priors, sample_intervals
 from inertial.earth import earth_rate_n
@@ -71,18 +72,17 @@ def heading_bound(stamp_ns, q_nb_wxyz, params):
     P[:3, :3] = np.diag([_TILT_STD, _TILT_STD, UNKNOWN_HEADING_STD]) ** 2
     P[3:6, 3:6] = VELOCITY_STD ** 2 * np.eye(3)
     P[6:, 6:] = bias_priors(params, dcm_nb[0])
-    walks = np.repeat([params.gyro_noise_density ** 2, params.accel_noise_density ** 2,
-                       2 * params.gyro_bias_instability ** 2 / params.bias_time,
-                       2 * params.accel_bias_instability ** 2 / params.bias_time], 3)
+    white = np.repeat([params.gyro_noise_density ** 2, params.accel_noise_density ** 2, 0.0, 0.0], 3)
+    flicker = FLICKER * np.repeat([0.0, 0.0, params.gyro_bias_instability ** 2, params.accel_bias_instability ** 2], 3)
     H = np.zeros((3, 12))
     H[:, 3:6] = np.eye(3)
-    std = np.empty(len(dt))
+    std, elapsed = np.empty(len(dt)), np.clip(np.cumsum(dt), 1.0, params.bias_time)
     for k, (t, dcm) in enumerate(zip(dt, dcm_nb, strict=True)):
         A = np.zeros((12, 12))
         A[:3, :3], A[:3, 6:9] = -skew(earth), -dcm
         A[3:6, :3], A[3:6, 3:6], A[3:6, 9:] = skew(constants_gravity), -2 * skew(earth), -dcm
         F = np.eye(12) + t * A + 0.5 * t * t * A @ A
-        P = F @ P @ F.T + t * np.diag(walks)
+        P = F @ P @ F.T + t * np.diag(white + flicker / elapsed[k])
         R = params.zero_velocity_std ** 2 * min((params.zero_velocity_period or t) / t, 1.0)
         gain = np.linalg.solve(H @ P @ H.T + R * np.eye(3), H @ P)
         P = P - gain.T @ (H @ P)

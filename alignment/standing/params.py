@@ -51,7 +51,7 @@ class StandingParams:
     accel_bias_std: float = _shared("accel_bias_std")
     accel_bias_instability: float = parameter(
         5e-4, "m/s^2", "Floor of the accelerometers' Allan deviation.", 0.0)
-    bias_time: float = parameter(3600.0, "s", "Time over which the biases drift by their instability.", 1.0)
+    bias_time: float = parameter(3600.0, "s", "Time beyond which the biases walk at random; before it their noise is 1/f.", 1.0)
     scale_std: float = _shared("scale_std")
     zero_velocity_std: float = parameter(
         5e-3, "m/s", "Spread of the velocity of a vehicle that stands: people, wind.", 1e-9)
@@ -112,8 +112,8 @@ class StandingParams:
             "earth_north": self.north_rate, "earth_down": -EARTH_RATE * math.sin(self.latitude),
             "gravity": self.local_gravity, "radius": SEMI_MAJOR_AXIS, "tan_latitude": math.tan(self.latitude),
             "gyro_var": self.gyro_noise_density ** 2, "accel_var": self.accel_noise_density ** 2,
-            "gyro_walk_var": 2 * self.gyro_bias_instability ** 2 / self.bias_time,
-            "accel_walk_var": 2 * self.accel_bias_instability ** 2 / self.bias_time,
+            "gyro_flicker_var": self.gyro_bias_instability ** 2,
+            "accel_flicker_var": self.accel_bias_instability ** 2,
             "scale_var": self.scale_std ** 2, "zero_velocity_var": self.zero_velocity_std ** 2,
             "turning_allowed": self.zero_velocity_while_turning, "mended": self.jacobian == "mended",
             "variant": VARIANTS[self.variant]}
