@@ -6,19 +6,39 @@ With ``--smooth`` the whole bag is one part, and each estimate knows what came a
 """
 
 import argparse
+import dataclasses
+import itertools
 import time
+import warnings
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
-from attitude_estimator.edge import OUTPUT_TYPES, AttitudeNodeParams, OutputMessages, stamp_actions
-from attitude_estimator.estimator import Estimates
+from attitude_estimator.delay import fit_delay
+from attitude_estimator.edge import (
+    OUTPUT_TYPES,
+    AttitudeNodeParams,
+    MessageNoise,
+    OutputMessages,
+    stamp_actions,
+    start_with_stored,
+)
+from attitude_estimator.estimator import ACTION_USE, Estimates
 from attitude_estimator.rivals import make_estimator
 from attitude_estimator.smoother import check_smoothable, smooth
 from inertial.recording import AltitudeSeries, ImuSeries
 from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
-from nav_ros.bags import TYPES, BagError, BagReader, BagWriter, choose_altitude
+from nav_ros.bags import (
+    TYPES,
+    BagError,
+    BagReader,
+    BagWarning,
+    BagWriter,
+    choose_altitude,
+    read_recording,
+)
+from nav_ros.bias_file import read_biases
 from nav_ros.cli import (
     add_parameter_options,
     add_topic_option,
@@ -28,9 +48,12 @@ from nav_ros.cli import (
     topics_of,
 )
 from nav_ros.frames import swap_flu_frd
+from nav_ros.imu_check import ImuCheck
 from nav_ros.messages import (
     ACCEL,
+    ACCEL_COVARIANCE,
     GYRO,
+    GYRO_COVARIANCE,
     IMU,
     StampedEncoder,
     decode_batch,
@@ -38,6 +61,7 @@ from nav_ros.messages import (
 from nav_ros.time_gate import StampCode, classify_stamps, gate_state
 
 PART = 20_000  # messages that are estimated at once; more only takes memory
+CHECK_RATE = 50.0  # Hz at which samples are looked over for a wrong unit
 
 
 class BagEstimator:
@@ -58,9 +82,15 @@ class BagEstimator:
         if smoothed:
             check_smoothable(params)
         self._smoothed = smoothed
+        self._stored = read_biases(params.bias_file) if params.bias_file else None
+        if smoothed and self._stored is not None:
+            raise ValueError(f"bias_file = {params.bias_file!r}: the smoother finds the biases from both ends")
+        self._noise = MessageNoise()
+        self._frames = []
         self._faults = self._estimator.faults
         self._gate = gate_state()
         self._messages = OutputMessages(params.mounting_rpy)
+        self._check = ImuCheck(self._messages.up_imu)
         self._imu_topic, self._altimeter_topic = imu_topic, altimeter_topic
         self._altimeter_type = altimeter_type
         self._source = AltitudeSource(altimeter_type) if altimeter_type else None
@@ -78,15 +108,41 @@ class BagEstimator:
             if code not in (StampCode.STEP, StampCode.FIRST):
                 self.counts[code.name.lower()] += int(np.sum(codes == code))
         series = ImuSeries(stamps, swap_flu_frd(batch.values[:, GYRO]), swap_flu_frd(batch.values[:, ACCEL]))
-        estimates, fresh = self._run(series, *self._altitudes(part, batch.index), stamp_actions(codes))
+        actions = stamp_actions(codes)
+        self._look_at(batch, stamps)
+        self._start_with_stored(stamps[actions == ACTION_USE])
+        estimates, fresh = self._run(series, *self._altitudes(part, batch.index), actions)
         self.counts["samples"] += len(estimates)
         receive_ns = np.array([message.receive_ns for message in imu], np.int64)[batch.index][fresh]
         frame_ids = [batch.frame_id[k] for k in np.flatnonzero(fresh)]
         return self._encode(estimates, receive_ns, frame_ids)
 
+    def _look_at(self, batch, stamps):
+        """Judge what is in the messages besides the samples, and whether those are in the right unit."""
+        runs = [frame for frame, _ in itertools.groupby(self._frames + batch.frame_id)]
+        self.counts["frame_id_empty"] += runs[len(self._frames):].count("")
+        self.counts["frame_id_changed"] += max(len(runs) - 1, 0)
+        self._frames = runs[-1:]
+        if len(stamps) < 2:
+            return
+        period = max(float(np.median(np.diff(stamps))) * 1e-9, 0.0)
+        some = slice(None, None, round(1.0 / (CHECK_RATE * period)) or 1 if period > 0.0 else 1)
+        values = batch.values[some]
+        for sample in zip(stamps[some].tolist(), values[:, GYRO].tolist(), values[:, ACCEL].tolist(), strict=True):
+            self._check.add(*sample)
+        # The first message's covariances stand for those of the part.
+        if self._noise.take(*(batch.values[0, field].tolist() for field in (GYRO_COVARIANCE, ACCEL_COVARIANCE))):
+            self._estimator.params = self._noise.applied(self._params, period)
+        self.counts["covariance_invalid"] += len(batch) * self._noise.invalid
+
+    def _start_with_stored(self, stamps):
+        if self._stored is not None and len(stamps):
+            start_with_stored(self._estimator, self._stored, int(stamps[0]))
+            self._stored = None
+
     def _run(self, imu, altitude, variance, actions):
         if self._smoothed:
-            estimates, fresh, self._faults = smooth(imu, altitude, variance, params=self._params,
+            estimates, fresh, self._faults = smooth(imu, altitude, variance, params=self._estimator.params,
                                                     actions=actions)
         else:
             estimates, fresh = self._estimator.run(imu, altitude, variance, actions=actions)
@@ -98,6 +154,11 @@ class BagEstimator:
         """Name -> count of everything that was refused or bridged."""
         counts = {name: count for name, count in self.counts.items() if name != "samples"}
         return {name: count for name, count in (vars(self._faults) | counts).items() if count}
+
+    @property
+    def suspicions(self):
+        """What the values show of a wrong unit or a wrong side up, a list of texts."""
+        return list(self._check.faults.values())
 
     def _altitudes(self, part, imu_index):
         """Return the altitudes of a part and their variances; arrival counts decoded IMU messages."""
@@ -202,6 +263,35 @@ def estimate_bag(path, out, params, topics, storage="mcap", *, smoothed=False):
     return estimator
 
 
+def find_delay(path, params, topics):
+    """Return the :class:`~attitude_estimator.delay.DelayFit` of a bag's altimeter; parameters as of `estimate_bag`.
+
+    Raises
+    ------
+    nav_ros.bags.BagError
+        There is no such bag, or no altimeter in it.
+    ValueError
+        The bag does not show the delay.
+    """
+    recording = read_recording(path, topics, params.altitude_source)
+    if recording.altitude is None:
+        raise BagError(f"{path}: no altimeter, so no delay of it")
+    codes, stamps = classify_stamps(recording.imu.stamp_ns, params)
+    return fit_delay(dataclasses.replace(recording.imu, stamp_ns=stamps), recording.altitude, params,
+                     stamp_actions(codes))
+
+
+def _with_delay(path, params, topics):
+    """Return the parameters with the altimeter's delay that a bag shows, and tell it."""
+    try:
+        fit = find_delay(path, params, topics)
+    except ValueError as error:
+        warnings.warn(f"{path}: {error}; altitude_delay stays {params.altitude_delay:g} s", BagWarning, stacklevel=2)
+        return params
+    print(f"{path}: altitude_delay {fit.delay:.3f} s, +-{fit.std:.3f}")
+    return dataclasses.replace(params, altitude_delay=fit.delay)
+
+
 def _write(writer, estimator, part, truth):
     out = estimator.estimate(part) if part else []
     out += [message for message in part if message.topic == truth]
@@ -221,9 +311,12 @@ def main(arguments=None):
         for bag in bags:
             began = time.perf_counter()
             target = Path(out) / Path(bag).stem if several else Path(out)
-            estimator = estimate_bag(bag, target, params, topics_of(options), options.storage,
-                                     smoothed=options.smooth)
+            topics = topics_of(options)
+            own = _with_delay(bag, params, topics) if options.fit_delay else params
+            estimator = estimate_bag(bag, target, own, topics, options.storage, smoothed=options.smooth)
             took = time.perf_counter() - began
+            for suspicion in estimator.suspicions:
+                warnings.warn(f"{bag}: {suspicion}", BagWarning, stacklevel=1)
             faults = ", ".join(f"{name} {count}" for name, count in estimator.faults.items())
             print(f"{target}: {estimator.counts['samples']} estimates in {took:.1f} s; "
                   f"{faults or 'nothing refused'}")
@@ -239,6 +332,8 @@ def _parser():
     add_parameter_options(parser, "attitude_node")
     parser.add_argument("--smooth", action="store_true",
                         help="estimate each sample from the whole bag, also from what came after it")
+    parser.add_argument("--fit-delay", action="store_true",
+                        help="find altitude_delay from each bag, tell it and use it")
     parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="default %(default)s")
     add_topic_option(parser, ("imu", "altitude", "pressure", "truth"))
     return parser

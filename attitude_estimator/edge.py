@@ -4,10 +4,13 @@ The values of every message are linear in one row of estimates, except the roll,
 written once, for many rows, and become a matrix that serves one row or many.
 """
 
+import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from attitude_estimator.biases import aged_accel_bias, aged_gyro_bias, start_with_biases
 from attitude_estimator.estimator import ACTION_RESET, ACTION_SKIP, ACTION_USE, Estimates
 from attitude_estimator.params import AttitudeParams
 from inertial.parameters import parameter
@@ -19,6 +22,7 @@ from inertial.rotation import (
     quaternion_from_dcm,
     quaternion_multiply,
 )
+from nav_ros.bias_file import StoredBiases
 from nav_ros.frames import (
     orientation_from_q_nb,
     rpy_from_euler,
@@ -72,6 +76,16 @@ class AttitudeNodeParams(AttitudeParams, TimeGateParams):
         20.0, "Hz", "highest rate of all output but imu/data; 0: with every sample", 0.0, 1e4)
     publish_tf: bool = parameter(
         False, "", "broadcast world_frame to base_frame; needs tf2_ros", runtime=False)
+    use_message_covariance: bool = parameter(
+        False, "", "take the noise densities from the messages' covariances, as variance times interval",
+        runtime=False)
+    bias_file: str = parameter(
+        "", "", "file that keeps the biases from one run to the next; empty: none", runtime=False)
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.bias_file and self.estimator != "dcm_row":
+            raise ValueError(f"bias_file = {self.bias_file!r}: {self.estimator} estimates no biases")
 
     def auxiliary_slot(self, stamp_ns):
         """Return a number (or one for each stamp) whose every change lets auxiliary output through."""
@@ -89,6 +103,75 @@ def stamp_actions(codes):
     """Return the estimator's action for each :class:`~nav_ros.time_gate.StampCode`."""
     return np.select([codes >= StampCode.DUPLICATE, codes == StampCode.JUMP_BACK],
                      [ACTION_SKIP, ACTION_RESET], ACTION_USE)
+
+
+class MessageNoise:
+    """Noise that the covariances of an IMU's messages give.
+
+    All zero means unknown, as in the definition of the message; -1, a negative or an asymmetric one is no
+    covariance.
+
+    Attributes
+    ----------
+    invalid : bool
+        Whether one of the last message's is none.
+    """
+
+    def __init__(self):
+        self._last = None
+        self._variances = (math.nan, math.nan)
+        self.invalid = False
+
+    def take(self, gyro_covariance, accel_covariance):
+        """Look at the covariances of a message, nine values each; return whether they have changed."""
+        covariances = (*gyro_covariance, *accel_covariance)
+        if covariances == self._last:
+            return False
+        self._last = covariances
+        self._variances = _variance(covariances[:9]), _variance(covariances[9:])
+        self.invalid = None in self._variances
+        return True
+
+    def applied(self, params, period):
+        """Return the parameters with the densities that these variances mean at an interval of `period` s.
+
+        What is unknown, or would be out of range, keeps its parameter.
+        """
+        names = "gyro_noise_density", "accel_noise_density"
+        for name, variance in zip(names, self._variances, strict=True):
+            if params.use_message_covariance and variance and variance > 0.0 and period > 0.0:
+                try:
+                    params = dataclasses.replace(params, **{name: math.sqrt(variance * period)})
+                except ValueError:
+                    self.invalid = True
+        return params
+
+
+def _variance(covariance):
+    """Return the mean variance of a covariance of nine values, 0 where it is unknown, None where it is none."""
+    matrix = np.reshape(covariance, (3, 3))
+    if not matrix.any():
+        return 0.0
+    variances = np.diag(matrix)
+    if not (np.isfinite(matrix).all() and (variances >= 0.0).all() and variances.any()):
+        return None
+    return float(variances.mean()) if np.abs(matrix - matrix.T).max() <= 1e-6 * variances.max() else None
+
+
+def biases_to_store(estimate):
+    """Return the :class:`~nav_ros.bias_file.StoredBiases` of an estimate."""
+    vectors = (swap_flu_frd(estimate.gyro_bias_b), np.sqrt(estimate.gyro_bias_variance),
+               swap_flu_frd(estimate.accel_bias_b), np.sqrt(estimate.accel_bias_variance))
+    return StoredBiases(int(estimate.stamp_ns), *(tuple(vector.tolist()) for vector in vectors))
+
+
+def start_with_stored(estimator, stored, stamp_ns):
+    """Start an estimator anew with biases stored some time before (a bag's replay: or after) a stamp, in ns."""
+    age, params = abs(stamp_ns - stored.stamp_ns) * 1e-9, estimator.params
+    start_with_biases(
+        estimator,
+        *aged_gyro_bias(swap_flu_frd(stored.gyro_bias), stored.gyro_bias_std, age, params),
+        *aged_accel_bias(swap_flu_frd(stored.accel_bias), stored.accel_bias_std, age, params))
 
 
 class OutputMessages:
@@ -110,6 +193,11 @@ class OutputMessages:
                         "imu/gyro_bias": swap_flu_frd(basis.gyro_bias_b),
                         "imu/accel_bias": swap_flu_frd(basis.accel_bias_b)}
         self._state_offset = self._unknown()
+
+    @property
+    def up_imu(self):
+        """The vehicle's up direction in the IMU's axes, FLU, (3,)."""
+        return swap_flu_frd(-self._dcm_base_imu[2]).tolist()
 
     def values(self, topic, estimates):
         """Return the doubles of the message on a topic of :data:`OUTPUT_TYPES`, (..., D)."""

@@ -24,14 +24,25 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import FluidPressure, Imu
 from std_srvs.srv import SetBool, Trigger
 
-from attitude_estimator.edge import OUTPUT_TYPES, AttitudeNodeParams, OutputMessages
+from attitude_estimator.edge import (
+    OUTPUT_TYPES,
+    AttitudeNodeParams,
+    MessageNoise,
+    OutputMessages,
+    biases_to_store,
+    start_with_stored,
+)
 from attitude_estimator.rivals import make_estimator
 from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
+from nav_ros.bias_file import BiasFileError, read_biases, write_biases
 from nav_ros.diagnostics import Level, Report, StreamMeter, diagnostic_array
 from nav_ros.frames import swap_flu_frd
+from nav_ros.imu_check import ImuCheck
 from nav_ros.messages import (
     ACCEL,
+    ACCEL_COVARIANCE,
     GYRO,
+    GYRO_COVARIANCE,
     IMU,
     ORIENTATION,
     POINT,
@@ -59,6 +70,8 @@ ERROR_SHARE = 0.01  # of refused samples
 STUCK_ERROR_SAMPLES = 500
 TWO_ALTIMETERS_NS = 5_000_000_000  # within which both have been heard
 SLOW_START = 1.0  # s of compilation worth telling
+FOUND_MOVING_NS = 60_000_000_000  # after which a start in motion has been corrected
+WATCHES_PER_STORE = 300  # a minute between two writings of bias_file
 
 
 class AttitudeNode(Node):
@@ -69,6 +82,10 @@ class AttitudeNode(Node):
         self._params = declare_parameters(self, AttitudeNodeParams)
         self._messages = OutputMessages(self._params.mounting_rpy)
         self._estimator = self._compiled_estimator()
+        self._stored = self._stored_biases()
+        self._noise = MessageNoise()
+        self._check = ImuCheck(self._messages.up_imu)
+        self._found_ns, self._found_standing = None, True
         self._gate = TimeGate(self._params)
         self._counts = Counter()
         self._last_fault = {}
@@ -107,6 +124,33 @@ class AttitudeNode(Node):
         if took > SLOW_START:
             self.get_logger().info(f"kernels ready after {took:.1f} s; later starts reuse them")
         return make_estimator(self._params)
+
+    def _stored_biases(self):
+        """Return the biases of the last run, None where there are none that can be used."""
+        if not self._params.bias_file:
+            return None
+        try:
+            stored = read_biases(self._params.bias_file)
+        except BiasFileError as error:
+            self.get_logger().warning(f"{error}: starting without")
+            return None
+        if stored is None:
+            self.get_logger().info(f"no {self._params.bias_file} yet")
+        return stored
+
+    def _store_biases(self):
+        estimate = self._estimator.estimate
+        if not (self._params.bias_file and estimate.valid):
+            return
+        try:
+            write_biases(self._params.bias_file, biases_to_store(estimate))
+        except OSError as error:
+            self._fault("bias_file", f"{self._params.bias_file}: cannot be written: {error.strerror}", Level.WARN)
+
+    def destroy_node(self):
+        """Keep the biases and end."""
+        self._store_biases()
+        super().destroy_node()
 
     def _tell_unknown_parameters(self):
         """Warn of parameters that were given but are nobody's; rclpy drops them without a word."""
@@ -188,10 +232,24 @@ class AttitudeNode(Node):
         return code < StampCode.DUPLICATE
 
     def _step(self, stamp_ns, frame_id, values):
+        self._look_at(stamp_ns, values)
         gyro_b = swap_flu_frd(values[GYRO])
         accel_b = swap_flu_frd(values[ACCEL])
+        if self._stored is not None:
+            start_with_stored(self._estimator, self._stored, stamp_ns)
+            self._stored = None
         if self._estimator.add_imu(stamp_ns, gyro_b, accel_b):
             self._publish(stamp_ns, frame_id)
+
+    def _look_at(self, stamp_ns, values):
+        """Judge what is in a message besides the sample, and whether the sample is in the right unit."""
+        self._check.add(stamp_ns, values[GYRO], values[ACCEL])
+        period_ns = self._gate.period_ns
+        if period_ns and self._noise.take(values[GYRO_COVARIANCE], values[ACCEL_COVARIANCE]):
+            self._estimator.params = self._noise.applied(self._params, period_ns * 1e-9)
+        if self._noise.invalid:
+            self._fault("covariance_invalid", "imu/data_raw: a covariance is -1, negative or asymmetric and does not "
+                        "count", Level.WARN)
 
     def _altitude_callback(self, name, message_type, source):
         def take(raw):
@@ -242,6 +300,12 @@ class AttitudeNode(Node):
             self._send_transform(stamp_ns, estimate)
 
     def _set_frame(self, frame_id):
+        if not frame_id:
+            self._fault("frame_id_empty", "imu/data_raw: frame_id is empty, so nobody knows whose axes these are",
+                        Level.ERROR)
+        if self._frame is not None:
+            self._fault("frame_id_changed", f"imu/data_raw: frame_id was {self._frame!r} and is {frame_id!r}: two IMUs "
+                        "on one topic?", Level.ERROR)
         self._frame = frame_id
         self._encoders = {topic: StampedEncoder(message_type, *self._params.frames(topic, frame_id))
                           for topic, message_type in OUTPUT_TYPES.items()}
@@ -260,9 +324,10 @@ class AttitudeNode(Node):
 
     def _apply(self, params):
         self._params = params
-        self._estimator.params = params
+        self._estimator.params = self._noise.applied(params, self._gate.period_ns * 1e-9)
         self._gate.set_params(params)
         self._messages = OutputMessages(params.mounting_rpy)
+        self._check.up_imu = self._messages.up_imu
 
     def _on_reset(self, _request, response):
         self._estimator.reset()
@@ -307,6 +372,8 @@ class AttitudeNode(Node):
                              for topic, publisher in self._outputs.items()}
         silent = self._silence(now_ns) > 0.0
         self._watches += 1
+        if self._watches % WATCHES_PER_STORE == 0:
+            self._store_biases()
         if self._watches % WATCHES_PER_REPORT == 0 or silent != self._silent:
             self._silent = silent
             self._diagnostics.publish(diagnostic_array(now_ns, [self._report(now_ns)]))
@@ -327,7 +394,12 @@ class AttitudeNode(Node):
             sigma = math.degrees(math.sqrt(np.trace(estimate.tilt_covariance_n)))
             report.value("state", "attitude known")
             report.value("tilt_sigma_deg", sigma)
+            if self._found_ns is None:
+                self._found_ns, self._found_standing = int(estimate.stamp_ns), self._check.standing
+            if not self._found_standing and estimate.stamp_ns - self._found_ns < FOUND_MOVING_NS:
+                report.fault(Level.WARN, "the attitude was found in motion: it may be far off for a minute")
         else:
+            self._found_ns = None
             report.value("state", "INITIALISING")
             report.fault(Level.WARN, f"INITIALISING: {self._estimator.waiting_for}")
         return report
@@ -344,6 +416,11 @@ class AttitudeNode(Node):
         silence = self._silence(now_ns)
         if silence:
             report.fault(Level.ERROR, f"imu/data_raw stopped {silence:.1f} s ago")
+        publishers = self.sensors[-1][0].handle.get_publisher_count()
+        if publishers > 1:
+            report.fault(Level.WARN, f"imu/data_raw has {publishers} publishers")
+        for text in self._check.faults.values():
+            report.fault(Level.ERROR, f"imu/data_raw: {text}")
         clock = self._gate.clock_fault(self._gate.stamp_ns + round(age * 1e9), now_ns)
         if clock:
             report.fault(Level.WARN, clock)

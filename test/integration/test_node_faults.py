@@ -1,6 +1,7 @@
 """What attitude_node says and does when its input is wrong: the rows of bad input, on a real process."""
 
 import math
+import signal
 import time
 
 import numpy as np
@@ -12,8 +13,10 @@ from geometry_msgs.msg import PointStamped  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
 from sensor_msgs.msg import FluidPressure, Imu  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
-from nav_ros.messages import POINT, PRESSURE, StampedEncoder  # noqa: E402
+from nav_ros.bias_file import StoredBiases, read_biases, write_biases  # noqa: E402
+from nav_ros.messages import GYRO_COVARIANCE, IMU, POINT, PRESSURE, StampedEncoder  # noqa: E402
 
 REPORT_PERIOD = 1.0  # s
 REPORT_SLACK = 0.5
@@ -22,6 +25,13 @@ SILENCE_TOLD = 2.0
 """Seconds within which a stop of the IMU is in a report: one, and one for a busy machine."""
 RATE = 200
 RATE_SHARE = 1e-3
+BURST = 50
+"""Samples between two waits for an answer."""
+QUEUE = 1000
+"""Messages that the node keeps while it is busy."""
+BIAS_STD = 2e-3
+"""rad/s, what some seconds at rest leave open of a gyro bias."""
+GRAVITY = 9.80665
 WARN, ERROR, STALE = b"\x01", b"\x02", b"\x03"
 NOT_FAULTS = {"imu_rate_hz", "imu_arrival_rate_hz", "latency_p50_s", "latency_p99_s", "altitude_rate_hz",
               "use_altitude", "state", "tilt_sigma_deg", "imu_messages", "altitude_messages",
@@ -219,3 +229,100 @@ def test_a_second_start_compiles_nothing(bench, monkeypatch):
     monkeypatch.setenv("NUMBA_DEBUG_CACHE", "1")
     said = bench.start_ready().said
     assert "data loaded from" in said and "data saved to" not in said
+
+
+
+def begin(bench, feed, seconds, **fields):
+    """Publish samples up to now, the first of them until the node hears one."""
+    feed.stamp_ns = time.time_ns() - round(seconds * 1e9)
+    bench.wait_until(lambda: feed.answers, "an answer", meanwhile=lambda: publish(feed, fields))
+    stream(feed, seconds, **fields)
+
+
+def publish(feed, fields):
+    feed.next(**{name: value() for name, value in fields.items()})
+
+
+def stream(feed, seconds, **fields):
+    """Publish the samples that follow, made by one function a field, and wait for their answers."""
+    for k in range(round(seconds * 1e9) // feed.period_ns):
+        publish(feed, fields)
+        if k % BURST == 0:
+            feed.wait()
+    feed.wait()
+
+
+def noisy(vector, std):
+    rng = np.random.default_rng(1)
+    return lambda: np.asarray(vector) + std * rng.standard_normal(3)
+
+
+def test_what_a_message_says_besides_its_sample_is_judged(bench, tmp_path):
+    (tmp_path / "biases.yaml").write_text("stamp_ns: 1\ngyro_bias: [1, 2]\n")
+    node = bench.start_ready("-p", f"bias_file:={tmp_path / 'biases.yaml'}")
+    assert node.said.count("gyro_bias = [1, 2]: must be three numbers: starting without") == 1
+    peer = bench.peer()
+    diagnostics, feed = bench.diagnostics(peer), bench.feed(peer)
+    begin(bench, feed, 3.0)
+    assert faults(settled(diagnostics, feed)) == {}
+
+    sample = np.frombuffer(feed.message(feed.stamp_ns)[-37 * 8:])
+    uncovered = sample.copy()
+    uncovered[GYRO_COVARIANCE.start] = -1.0
+    for frame, doubles in (("other", sample), ("", sample), *[("imu_link", uncovered)] * 3):
+        feed.stamp_ns += feed.period_ns
+        feed.publisher.publish(StampedEncoder(IMU, frame).encode(feed.stamp_ns, doubles))
+    report = diagnostics.told("two IMUs on one topic")
+    assert report.level == ERROR and "publishers" not in report.message
+    report = settled(diagnostics, feed)
+    assert faults(report) == {"frame_id_changed": 3, "frame_id_empty": 1, "covariance_invalid": 3}
+
+    stream(feed, 6.0, accel=noisy([0.0, 0.0, 1.0], 2e-3))
+    report = diagnostics.told("it looks like g")
+    assert report.level == ERROR and "multiply by 9.80665" in report.message
+    stream(feed, 6.0, accel=noisy([0.0, 0.0, -GRAVITY], 0.02))
+    assert "upside down (set mounting_rpy)" in diagnostics.told("upside down").message
+
+    peer.publisher(Imu, "imu/data_raw")
+    assert "imu/data_raw has 2 publishers" in diagnostics.told("publishers").message
+    for _ in range(20):  # what two publishers look like, one of them always a little behind
+        feed.publisher.publish(feed.message(feed.stamp_ns - 10**8))
+        feed.next()
+    assert "stamps go back and forth: two publishers?" in diagnostics.told("back and forth").message
+
+
+def test_a_reset_and_a_burst_in_the_stream(bench, tmp_path):
+    path, bias = tmp_path / "biases.yaml", np.array([0.02, -0.01, 0.015])
+    write_biases(path, StoredBiases(time.time_ns(), tuple(bias), (BIAS_STD,) * 3, (0.0,) * 3, (0.02,) * 3))
+    node = bench.start_ready("-p", f"bias_file:={path}")
+    peer = bench.peer()
+    diagnostics, feed = bench.diagnostics(peer), bench.feed(peer)
+    begin(bench, feed, 3.0, gyro=noisy(bias, 1e-3))
+    rate = deserialize_message(feed.answers[0], Imu).angular_velocity
+    assert np.linalg.norm([rate.x, rate.y, rate.z]) < BIAS_STD + 6e-3, "the stored bias counts from the first sample"
+
+    client = peer.node.create_client(Trigger, "/attitude_node/reset")
+    bench.wait_until(client.service_is_ready, "the service")
+    answers, sent, future = len(feed.answers), 0, client.call_async(Trigger.Request())
+    while not future.done():
+        stream(feed, 0.05, gyro=noisy(bias, 1e-3))
+        sent += RATE // 20
+    stream(feed, 2.5, gyro=noisy(bias, 1e-3))
+    assert future.result().success and len(feed.answers) - answers == sent + round(2.5 * RATE)
+    known = [deserialize_message(raw, Imu).orientation_covariance[0] >= 0.0 for raw in feed.answers[answers:]]
+    lost, found = known.index(False), known.index(True, known.index(False))
+    assert all(known[:lost]) and not any(known[lost:found]) and all(known[found:])
+
+    answers = len(feed.answers)
+    for _ in range(4 * QUEUE):
+        feed.next(gyro=bias)
+    last = feed.message(feed.stamp_ns)[4:12]
+    bench.wait_until(lambda: feed.answers[-1][4:12] == last, "the last of the burst")
+    order = [int.from_bytes(raw[4:8], "little") * 10**9 + int.from_bytes(raw[8:12], "little")
+             for raw in feed.answers[answers:]]
+    assert order == sorted(order) and len(order) <= 4 * QUEUE
+    assert float(values(diagnostics.next())["latency_p99_s"]) > -4 * QUEUE / RATE
+    stream(feed, 2.0, gyro=noisy(bias, 1e-3))
+
+    assert node.finish(signal.SIGINT) == 0
+    np.testing.assert_allclose(read_biases(path).gyro_bias, bias, atol=BIAS_STD)
