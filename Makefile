@@ -17,7 +17,9 @@ bench: ## cost of a sample and of a message, beside other filters
 
 study: ## rewrite the tables of docs/results
 	@scripts/run study python3 -m studies.recordings
+	@scripts/run study python3 -m studies.choice
 	@scripts/run study python3 -m studies.attitude
+	@scripts/run study python3 -m studies.real_effects
 	@scripts/run study python3 -m studies.north_finding
 	@scripts/run study python3 -m studies.strapdown
 	@scripts/run study python3 -m studies.helicopter

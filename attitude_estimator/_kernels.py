@@ -29,7 +29,7 @@ N5 = 5
 VD, ALT, BG, BA = 3, 4, 5, 8
 
 # Filter state: first what every model has, then what only the default one has.
-(X, P, ATTITUDE, ELAPSED, INTERVAL, HELD, STUCK, GYRO, ACCEL, GYRO_LP, ACCEL_LP, GYRO_SPREAD,
+(X, P, ATTITUDE, ELAPSED, INTERVAL, HELD, STUCK, CLIPPED, GYRO, ACCEL, GYRO_LP, ACCEL_LP, GYRO_SPREAD,
  ACCEL_SPREAD, REST, NORTH, YAW_STD, YAW_VAR, ALT_COUNT, SINCE_ALT,
  GRAVITY, GRAVITY_BG, GRAVITY_BA, SINCE_GRAVITY, RESIDUAL, FREE_FALL,
  ALT_LAST, ALT_BEFORE, ALT_SPREAD, ALT_STEP, ALT_PERSISTENCE, ALT_REFUSED,
@@ -37,7 +37,7 @@ VD, ALT, BG, BA = 3, 4, 5, 8
     N, N * N,
     1,  # ATTITUDE: 1 once there is one
     1, 1,  # ELAPSED s since the start; INTERVAL s, running mean
-    1, 1,  # HELD s without a good rate; STUCK s of identical samples
+    1, 1, 1,  # HELD s without a good rate; STUCK s of identical samples; CLIPPED s of a rate at its limit
     3, 3,  # GYRO, ACCEL: the last good sample
     3, 3, 1, 1,  # low-passed sample, and low-passed squared distance from it
     1,  # REST s of stillness
@@ -58,7 +58,7 @@ PARAMETER_NAMES = (
     "gravity_time", "gravity_floor_std", "gravity_residual_share", "gravity_decay_time",
     "gravity_correlation", "gravity_start_std", "gravity_bias_share",
     "rest_gyro_std", "rest_accel_std",
-    "altitude_std", "altitude_drift_density", "altitude_scale_error", "altitude_delay",
+    "altitude_std", "altitude_drift_density", "altitude_scale_error", "altitude_delay", "altitude_delay_std",
     "altitude_gate", "altitude_step_gate",
     "gyro_range", "accel_range", "altitude_buffer", "gap_limit")
 
@@ -100,7 +100,7 @@ SNAPSHOTS = 16
  P_GRAVITY_TIME, P_GRAVITY_FLOOR, P_GRAVITY_SHARE, P_GRAVITY_DECAY,
  P_CORRELATION, P_START_STD, P_BIAS_SHARE,
  P_REST_GYRO_STD, P_REST_ACCEL_STD,
- P_ALT_STD, P_ALT_DRIFT, P_ALT_SCALE_ERROR, P_ALT_DELAY,
+ P_ALT_STD, P_ALT_DRIFT, P_ALT_SCALE_ERROR, P_ALT_DELAY, P_ALT_DELAY_STD,
  P_ALT_GATE, P_ALT_STEP_GATE,
  P_GYRO_RANGE, P_ACCEL_RANGE, P_ALT_BUFFER, P_GAP_LIMIT) = range(M_PARAMETERS, M_OUT)
 
@@ -124,7 +124,8 @@ STUCK_TIME = 1.0  # s of identical samples
 STUCK_GYRO_DENSITY = 0.05  # rad/s/sqrt(Hz), added while the sensor is stuck
 STUCK_ACCEL_DENSITY = 1.0  # m/s^2/sqrt(Hz)
 CLIP_SHARE = 0.998  # of the range, above which a component may be clipped
-CLIP_ERROR = 0.1  # of the range, spread of a clipped component
+CLIP_ERROR = 0.1  # of the range, spread of a clipped force
+CLIP_TIME = 1.0  # s at the limit after which a rate may be twice as large
 AHEAD_LIMIT = 1_000_000_000  # ns that an altitude may be ahead of the IMU
 UNKNOWN_ACCEL_STD = 2.0  # m/s^2, spread of the acceleration while the force is unknown
 
@@ -475,6 +476,7 @@ def row_altitude_update(m, z, message_var, age):
     _learn_altimeter(m, z, noise)
     noise = max(noise, m[ALT_SPREAD]) + m[ALT_STEP] ** 2 / 12.0
     noise *= max(1.0, 0.1 / max(m[SINCE_ALT], 1e-3))
+    noise += (m[P_ALT_DELAY_STD] * m[X + VD]) ** 2
     delay = m[P_ALT_DELAY] + age
     for k in range(N):
         m[PH + k] = m[P + N * k + ALT] + delay * m[P + N * k + VD]
@@ -781,6 +783,12 @@ def _largest(ints, not_finite, out_of_range, limit, x, y, z):
 
 
 @compiled
+def _angle_missed(m):
+    """Spread (rad) of the angle beyond the gyro's limit: a short peak hardly passes it, a long one is unknown."""
+    return m[P_GYRO_RANGE] * m[CLIPPED] ** 2 / (CLIP_TIME + m[CLIPPED])
+
+
+@compiled
 def _suspicion(m, ints, dt, wx, wy, wz, fx, fy, fz, largest_rate, largest_force):
     """Variances (rad^2, m^2/s^2) that a stuck or clipped sample adds."""
     same = (wx == m[GYRO] and wy == m[GYRO + 1] and wz == m[GYRO + 2]
@@ -795,8 +803,14 @@ def _suspicion(m, ints, dt, wx, wy, wz, fx, fy, fz, largest_rate, largest_force)
     accel_clipped = largest_force > CLIP_SHARE * m[P_ACCEL_RANGE]
     if gyro_clipped or accel_clipped:
         ints[I_COUNTS + F_CLIPPED] += 1
-        gyro_var += (dt * CLIP_ERROR * m[P_GYRO_RANGE]) ** 2 if gyro_clipped else 0.0
-        accel_var += (dt * CLIP_ERROR * m[P_ACCEL_RANGE]) ** 2 if accel_clipped else 0.0
+    if accel_clipped:
+        accel_var += (dt * CLIP_ERROR * m[P_ACCEL_RANGE]) ** 2
+    if gyro_clipped:
+        gyro_var -= _angle_missed(m) ** 2
+        m[CLIPPED] += dt
+        gyro_var += _angle_missed(m) ** 2
+    else:
+        m[CLIPPED] = 0.0
     return gyro_var, accel_var
 
 
@@ -976,7 +990,7 @@ def _move_altitude(m, ints, source, target):
 @compiled
 def _rewind(m, ints, back):
     """Go back before the last `back` samples and step over them again."""
-    held, stuck = m[HELD], m[STUCK]
+    held, stuck, clipped = m[HELD], m[STUCK], m[CLIPPED]
     origin = (ints[I_HEAD] - back) % HISTORY
     snapshot = M_SNAPSHOTS + origin // SNAPSHOTS * STATE_SIZE
     for k in range(STATE_SIZE):
@@ -986,7 +1000,7 @@ def _rewind(m, ints, back):
         ints[I_NEXT] += 1
     for k in range(back - 1, -1, -1):
         _advance(m, ints, (ints[I_HEAD] - k) % HISTORY)
-    m[HELD], m[STUCK] = held, stuck
+    m[HELD], m[STUCK], m[CLIPPED] = held, stuck, clipped
 
 
 # --- from Python ------------------------------------------------------------------------------------

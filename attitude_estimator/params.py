@@ -80,6 +80,8 @@ class AttitudeParams:
         0.026, "sqrt(s)", "altimeter noise that grows with vertical speed", 0.0, 1.0)
     altitude_delay: float = parameter(
         0.0, "s", "how much older an altitude is than its stamp", -1.0, 2.0)
+    altitude_delay_std: float = parameter(
+        0.2, "s", "spread of the delay: altitudes count less the faster they change", 0.0, 2.0)
     altitude_gate: float = parameter(
         6.25, "", "squared normalised innovation above which an altitude must be confirmed", 1.0, 100.0)
     altitude_step_gate: float = parameter(

@@ -26,7 +26,8 @@ BLIND_TIME = 10.0  # s of manoeuvre that a blind start may take
 BLIND_DEG = 5.0  # an attitude: nearer than that when it is first told
 DIVERGED_DEG = 10.0
 DEFAULT_RUNS = 10
-NEES_LOW, NEES_HIGH = 0.2, 1.3  # NEES/2 of the default filter: honest, or on the careful side
+# NEES/2 of the default filter: honest, or on the careful side with a sigma of at most 2.5 times the error.
+NEES_LOW, NEES_HIGH = 0.16, 1.3
 BEYOND_3_SIGMA = 0.01
 
 

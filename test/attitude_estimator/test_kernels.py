@@ -213,7 +213,7 @@ class DefaultTwin(PaperTwin):
     def use_altitude(self, z, H):
         self.learn_altimeter(z)
         R = max(self.p.altitude_std**2, self.altimeter_var) + self.step**2 / 12
-        R *= max(1.0, 0.1 / self.since_altitude)
+        R = R * max(1.0, 0.1 / self.since_altitude) + (self.p.altitude_delay_std * self.x[3]) ** 2
         y = z - H @ self.x
         S = H @ self.P @ H + R
         if y**2 > self.p.altitude_gate * S:
