@@ -14,6 +14,10 @@ from inertial.recording import ImuSeries
 
 # Samples are handed over by blocks, which costs a tenth of one by one; no result comes more often.
 _BLOCK_NS = 100_000_000
+_COMPARED = 10  # blocks handed over at a time where only the end matters
+# m/s, more than a vehicle that turns on the spot reaches. What drives off has crept before it was noticed, and the
+# zero velocities of that time have spoilt what was known.
+_DRIVEN = 1.0
 
 
 class StandingSession:
@@ -33,9 +37,10 @@ class StandingSession:
 
     def __init__(self, params, keep=False):
         self._blocks = [] if keep else None
-        self._block = []
+        self._block, self._driven = [], False
         self._aligner = StandingAligner(params)
         self._phase = self._aligner.phase
+        self._remarks = []
         self.running = True
 
     @property
@@ -49,7 +54,7 @@ class StandingSession:
 
     def reset(self):
         """Forget everything that was measured."""
-        self._block = []
+        self._block, self._driven = [], False
         self._aligner.reset()
 
     def stop(self):
@@ -73,9 +78,7 @@ class StandingSession:
         self._block = []
         if self._blocks is not None:
             self._blocks.append(imu)
-        self._aligner.run(imu)
-        before, self._phase = self._phase, self._aligner.phase
-        return self._phase != before
+        return self._take(imu)
 
     def add_imu(self, stamp_ns, gyro_b, accel_b):
         """Take in a sample, rad/s and m/s^2; return whether the phase has changed."""
@@ -86,7 +89,8 @@ class StandingSession:
 
     def take_remarks(self):
         """Return what has happened since the last call, each as (good, text)."""
-        return self._aligner.take_remarks()
+        remarks, self._remarks = self._aligner.take_remarks() + self._remarks, []
+        return remarks
 
     @property
     def result(self):
@@ -119,11 +123,33 @@ class StandingSession:
         return self._aligner.refused
 
     def compare(self):
-        """Return what every method finds in the kept samples: a dict, method to aligner."""
-        imu = ImuSeries(*(np.concatenate([getattr(block, name) for block in self._blocks])
-                          for name in ("stamp_ns", "gyro_b", "accel_b")))
-        aligners = {name: StandingAligner(dataclasses.replace(self.params, method=name))
-                    for name in STANDING_METHODS}
-        for aligner in aligners.values():
-            aligner.run(imu)
-        return aligners
+        """Return what every method finds in the kept samples: a dict, method to session."""
+        others = {name: StandingSession(dataclasses.replace(self.params, method=name))
+                  for name in STANDING_METHODS if name != self.params.method}
+        for start in range(0, len(self._blocks), _COMPARED):
+            imu = _joined(self._blocks[start:start + _COMPARED])
+            for session in others.values():
+                session._take(imu)
+        return {name: others.get(name, self) for name in STANDING_METHODS}
+
+    def _take(self, imu):
+        self._aligner.run(imu)
+        self._watch_drive()
+        before, self._phase = self._phase, self._aligner.phase
+        return self._phase != before
+
+    def _watch_drive(self):
+        """Begin anew where a drive ends; what only turns on the spot goes on with what it knew."""
+        aligner = self._aligner
+        if aligner.moving:
+            result = aligner.result
+            self._driven |= result is not None and np.linalg.norm(result.velocity_n) > _DRIVEN
+        elif self._driven:
+            self._remarks.append((False, "the vehicle has driven: the alignment starts anew"))
+            self._driven = False
+            aligner.reset()
+
+
+def _joined(blocks):
+    return ImuSeries(*(np.concatenate([getattr(block, name) for block in blocks])
+                       for name in ("stamp_ns", "gyro_b", "accel_b")))

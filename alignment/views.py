@@ -209,7 +209,8 @@ class StandingView:
 
     def __init__(self, params, live=True):
         self.session = StandingSession(params, keep=not live)
-        warm_up_standing(params)
+        if live:
+            warm_up_standing(params)
 
     def check(self, params):
         """Raise ValueError for parameters that this alignment cannot change to."""
@@ -238,10 +239,9 @@ class StandingView:
         session = self.session
         if not session.running:
             return "stopped: call ~/start"
-        result = session.result
-        if result is not None and result.floor > session.params.target_std:
-            return (f"half a turn of the vehicle: standing like this, {math.degrees(result.floor):.3g} deg is "
-                    "the floor")
+        if session.phase == "fine" and math.isinf(session.result.time_left):
+            return (f"turn the vehicle or the IMU by half a turn: standing like this, "
+                    f"{math.degrees(session.result.floor):.3g} deg is the floor")
         return "keep the vehicle still"
 
     @property
@@ -278,8 +278,8 @@ class StandingView:
     def findings(self):
         """Return key -> value of what else a whole recording tells, every method's result among it."""
         return {"refusal": self.session.refusal, "heading_methods": {
-            name: {"phase": aligner.phase} | _result_row(aligner.result)
-            for name, aligner in self.session.compare().items() if aligner.result is not None}}
+            name: {"phase": session.phase} | _result_row(session.result)
+            for name, session in self.session.compare().items() if session.result is not None}}
 
     def remarks(self):
         """Return (title, text) of what a person should read besides the result."""

@@ -1,0 +1,66 @@
+"""A standing vehicle's session: a half turn is no drive; stop and start; a later latitude; every method."""
+
+import math
+
+import pytest
+
+from alignment.standing.params import STANDING_METHODS, StandingParams
+from alignment.standing_session import StandingSession
+from inertial.parked_scenarios import GRADES, simulate_parked
+from inertial.table_scenarios import HEADING, LATITUDE
+
+ERRORS = GRADES["navigation"].errors
+PARAMS = StandingParams(
+    latitude=LATITUDE, coarse_window=10.0, target_std=0.1, gyro_noise_density=ERRORS.gyro_noise_density,
+    gyro_bias_std=ERRORS.gyro_bias_std, gyro_bias_instability=ERRORS.gyro_bias_instability,
+    accel_noise_density=ERRORS.accel_noise_density, accel_bias_std=ERRORS.accel_bias_std,
+    accel_bias_instability=ERRORS.accel_bias_instability)
+SIGMAS = 4.0
+"""Of a heading, for one fixed seed."""
+
+
+def fed(session, recording):
+    """Return the phases that a session goes through, and its remarks."""
+    phases = [session.phase]
+    for sample in zip(recording.imu.stamp_ns.tolist(), recording.imu.gyro_b, recording.imu.accel_b, strict=True):
+        if session.add_imu(*sample):
+            phases.append(session.phase)
+    return phases, [text for _, text in session.take_remarks()]
+
+
+@pytest.fixture(scope="module")
+def turned():
+    """Return a vehicle that turns by 180 deg in the middle of a minute."""
+    return simulate_parked("parked_navigation_two_position", duration=60.0, imu_rate=50.0, seed=1)
+
+
+def test_a_half_turn_goes_on_and_every_method_stands_beside_it(turned):
+    session = StandingSession(PARAMS, keep=True)
+    phases, remarks = fed(session, turned)
+    assert phases[:3] == ["waiting", "coarse", "fine"] and phases[-2:] == ["waiting", "aligned"]
+    assert phases.count("coarse") == 1 and not any("driven" in text for text in remarks)
+    error = math.remainder(session.result.heading - HEADING - math.pi, 2 * math.pi)
+    assert abs(error) < SIGMAS * session.result.heading_std
+    found = session.compare()
+    assert tuple(found) == STANDING_METHODS and found[PARAMS.method] is session
+    assert all(other.result is not None for other in found.values())
+
+
+def test_a_stopped_session_ignores_samples_and_begins_anew(turned):
+    session = StandingSession(PARAMS)
+    first = simulate_parked("parked_navigation", duration=15.0, imu_rate=50.0)
+    fed(session, first)
+    assert session.phase == "fine" and session.stop() and session.phase == "stopped"
+    result = session.result
+    fed(session, turned)
+    assert session.result is result and not session.stop()
+    assert session.activity == "stopped: call ~/start"
+    session.start()
+    assert session.phase == "waiting" and session.result is None
+
+
+def test_a_latitude_that_comes_later_begins_the_alignment(turned):
+    session = StandingSession(StandingParams())
+    assert fed(session, turned)[0][:2] == ["waiting", "coarse"] and "latitude is not known" in session.refusal
+    session.params = PARAMS
+    assert session.phase == "waiting" and "latitude" not in session.refusal
