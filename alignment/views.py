@@ -284,10 +284,13 @@ class StandingView:
     def remarks(self):
         """Return (title, text) of what a person should read besides the result."""
         session, result = self.session, self.session.result
-        gyro = _listed(result.gyro_bias_b / _DEG_PER_HOUR, result.gyro_bias_std / _DEG_PER_HOUR)
-        accel = _listed(result.accel_bias_b / _MILLI_G, result.accel_bias_std / _MILLI_G)
-        return [("phase", session.phase), ("next", self.next_step),
-                ("gyros", f"{gyro} deg/h are the biases forward, right, down"), ("accels", f"{accel} mg")]
+        lines = [("phase", session.phase), ("next", self.next_step)]
+        if np.isfinite(result.gyro_bias_std).all():
+            gyro = _listed(result.gyro_bias_b / _DEG_PER_HOUR, result.gyro_bias_std / _DEG_PER_HOUR)
+            accel = _listed(result.accel_bias_b / _MILLI_G, result.accel_bias_std / _MILLI_G)
+            lines += [("biases", f"of the gyros forward, right, down: {gyro} deg/h"),
+                      ("", f"of the accelerometers: {accel} mg")]
+        return lines
 
 
 def _result_row(result):
