@@ -289,7 +289,7 @@ def _with_delay(path, params, topics):
         warnings.warn(f"{path}: {error}; altitude_delay stays {params.altitude_delay:g} s", BagWarning, stacklevel=2)
         return params
     print(f"{path}: altitude_delay {fit.delay:.3f} s, +-{fit.std:.3f}")
-    return dataclasses.replace(params, altitude_delay=fit.delay)
+    return dataclasses.replace(params, altitude_delay=fit.delay, altitude_delay_std=fit.std)
 
 
 def _write(writer, estimator, part, truth):
@@ -333,7 +333,7 @@ def _parser():
     parser.add_argument("--smooth", action="store_true",
                         help="estimate each sample from the whole bag, also from what came after it")
     parser.add_argument("--fit-delay", action="store_true",
-                        help="find altitude_delay from each bag, tell it and use it")
+                        help="find altitude_delay and its spread from each bag, tell and use them")
     parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="default %(default)s")
     add_topic_option(parser, ("imu", "altitude", "pressure", "truth"))
     return parser

@@ -55,7 +55,8 @@ def fit_delay(imu, altitude, params, actions=None):
         The recording does not show it: too few altitudes, or too little climbing and sinking.
     """
     def likelihood(delay):
-        return _log_likelihood(imu, altitude, dataclasses.replace(params, altitude_delay=float(delay)), actions)
+        told = dataclasses.replace(params, altitude_delay=float(delay), altitude_delay_std=0.0)
+        return _log_likelihood(imu, altitude, told, actions)
 
     coarse = [likelihood(delay) for delay in _COARSE]
     delays = _COARSE[int(np.argmax(coarse))] + _FINE

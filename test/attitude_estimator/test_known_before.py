@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from attitude_estimator import cli
 from attitude_estimator.biases import aged_accel_bias, aged_gyro_bias, start_with_biases
 from attitude_estimator.delay import fit_delay
 from attitude_estimator.edge import AttitudeNodeParams, MessageNoise, biases_to_store, start_with_stored
@@ -14,6 +15,11 @@ from attitude_estimator.params import AttitudeParams
 from attitude_estimator.rivals import make_estimator
 from inertial.imu_errors import PROFILES
 from inertial.simulator import simulate
+from nav_ros.bags import BagWriter, read_messages
+from nav_ros.bias_file import StoredBiases, write_biases
+from nav_ros.frames import swap_flu_frd
+from nav_ros.messages import GYRO, IMU, decode_batch
+from nav_ros.recorded import recorded_messages
 
 BIAS, STD = np.array([0.02, -0.01, 0.005]), np.full(3, 1e-3)
 DAY = 86400.0
@@ -111,3 +117,35 @@ def test_a_recording_that_does_not_show_the_delay_says_so():
                   arrival=run.altitude.arrival[:250])
     with pytest.raises(ValueError, match="the delay needs 100 or more"):
         fit_delay(run.imu, few, AttitudeParams())
+
+
+def written(path, run):
+    types, messages = recorded_messages(run)
+    with BagWriter(path, types) as writer:
+        for message in messages:
+            writer.write(*message)
+    return str(path)
+
+
+def test_estimate_bag_finds_the_delay_and_starts_with_stored_biases(tmp_path, capsys):
+    run = recording(delay=0.25)
+    bag = written(tmp_path / "run", run)
+    last = int(run.imu.stamp_ns[0]) - 10 * 10**9
+    write_biases(tmp_path / "biases.yaml", StoredBiases(
+        last, tuple(swap_flu_frd(run.gyro_bias_b[0])), (1e-4,) * 3, (0.0,) * 3, (0.05,) * 3))
+    cli.main([bag, str(tmp_path / "out"), "--fit-delay", "-p", f"bias_file:={tmp_path / 'biases.yaml'}"])
+    told = capsys.readouterr()
+    assert float(told.out.split("altitude_delay ")[1].split(" s")[0]) == pytest.approx(0.25, abs=0.05)
+    assert told.err == ""
+    first = decode_batch(IMU, [next(read_messages(tmp_path / "out", ["/imu/data"])).raw]).values[0]
+    truth = run.imu.gyro_b[0] - run.gyro_bias_b[0]
+    np.testing.assert_allclose(swap_flu_frd(first[GYRO]), truth, atol=2e-3)
+    assert "stamp_ns: " + str(last) in (tmp_path / "biases.yaml").read_text()
+
+
+def test_estimate_bag_names_the_unit_and_the_delay_that_is_not_to_be_found(tmp_path, capsys):
+    run = recording("hover")
+    run = replace(run, imu=replace(run.imu, accel_b=run.imu.accel_b / 9.80665))
+    cli.main([written(tmp_path / "run", run), str(tmp_path / "out"), "--fit-delay"])
+    delay, unit = capsys.readouterr().err.splitlines()
+    assert "altitude_delay stays 0 s" in delay and "it looks like g" in unit

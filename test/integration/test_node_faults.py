@@ -264,7 +264,8 @@ def test_what_a_message_says_besides_its_sample_is_judged(bench, tmp_path):
     peer = bench.peer()
     diagnostics, feed = bench.diagnostics(peer), bench.feed(peer)
     begin(bench, feed, 3.0)
-    assert faults(settled(diagnostics, feed)) == {}
+    report = settled(diagnostics, feed)
+    assert faults(report) == {} and "found in motion" not in report.message
 
     sample = np.frombuffer(feed.message(feed.stamp_ns)[-37 * 8:])
     uncovered = sample.copy()
@@ -289,6 +290,10 @@ def test_what_a_message_says_besides_its_sample_is_judged(bench, tmp_path):
         feed.publisher.publish(feed.message(feed.stamp_ns - 10**8))
         feed.next()
     assert "stamps go back and forth: two publishers?" in diagnostics.told("back and forth").message
+
+    assert peer.call(Trigger, "/attitude_node/reset").success
+    stream(feed, 3.0, gyro=noisy([0.0, 0.0, 0.3], 1e-3))
+    assert diagnostics.told("the attitude was found in motion").level >= WARN
 
 
 def test_a_reset_and_a_burst_in_the_stream(bench, tmp_path):
