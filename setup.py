@@ -74,6 +74,7 @@ setup(
             "study_recordings = studies.recordings:main",
             "study_attitude = studies.attitude:main",
             "study_north_finding = studies.north_finding:main",
+            "study_ins_alignment = studies.ins_alignment:main",
             "study_strapdown = studies.strapdown:main",
             "study_helicopter = studies.helicopter:main",
         ],
