@@ -5,6 +5,7 @@ it can be stopped and started, may get its latitude later, and runs every method
 """
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from alignment.standing.aligner import StandingAligner
 from alignment.standing.params import STANDING_METHODS
 from inertial.recording import ImuSeries
 
-# Samples are handed over by blocks, which costs a tenth of one by one; no result comes more often.
+# Samples are handed over by blocks, which costs a fraction of one by one; no result comes more often.
 _BLOCK_NS = 100_000_000
 _COMPARED = 10  # blocks handed over at a time where only the end matters
 # m/s, more than a vehicle that turns on the spot reaches. What drives off has crept before it was noticed, and the
@@ -136,6 +137,9 @@ class StandingSession:
         self._aligner.run(imu)
         self._watch_drive()
         before, self._phase = self._phase, self._aligner.phase
+        if self._phase == "aligned" != before:
+            heading, std = math.degrees(self.result.heading) % 360.0, math.degrees(self.result.heading_std)
+            self._remarks.append((True, f"aligned: heading {heading:.3f} +- {std:.3f} deg"))
         return self._phase != before
 
     def _watch_drive(self):

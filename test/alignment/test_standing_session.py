@@ -39,6 +39,7 @@ def test_a_half_turn_goes_on_and_every_method_stands_beside_it(turned):
     phases, remarks = fed(session, turned)
     assert phases[:3] == ["waiting", "coarse", "fine"] and phases[-2:] == ["waiting", "aligned"]
     assert phases.count("coarse") == 1 and not any("driven" in text for text in remarks)
+    assert remarks[-1].startswith("aligned: heading 3") and remarks[-1].endswith(" deg")
     error = math.remainder(session.result.heading - HEADING - math.pi, 2 * math.pi)
     assert abs(error) < SIGMAS * session.result.heading_std
     found = session.compare()
