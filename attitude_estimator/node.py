@@ -85,7 +85,7 @@ class AttitudeNode(Node):
         self._stored = self._stored_biases()
         self._noise = MessageNoise()
         self._check = ImuCheck(self._messages.up_imu)
-        self._found_ns, self._found_standing = None, True
+        self._resets, self._found = 0, None
         self._gate = TimeGate(self._params)
         self._counts = Counter()
         self._last_fault = {}
@@ -140,7 +140,7 @@ class AttitudeNode(Node):
 
     def _store_biases(self):
         estimate = self._estimator.estimate
-        if not (self._params.bias_file and estimate.valid):
+        if not (self._params.bias_file and estimate.valid and estimate.stamp_ns):
             return
         try:
             write_biases(self._params.bias_file, biases_to_store(estimate))
@@ -226,7 +226,7 @@ class AttitudeNode(Node):
         code = self._gate.check(stamp_ns)
         if code == StampCode.JUMP_BACK:
             self.get_logger().warning("stamps went back (a bag's loop, a clock set?): the filter starts anew")
-            self._estimator.reset()
+            self._reset()
         elif code == StampCode.NO_STAMP:
             self._fault("no_stamp", "imu/data_raw: no valid stamp, and no fixed_dt to stand in", Level.ERROR)
         return code < StampCode.DUPLICATE
@@ -329,8 +329,12 @@ class AttitudeNode(Node):
         self._messages = OutputMessages(params.mounting_rpy)
         self._check.up_imu = self._messages.up_imu
 
-    def _on_reset(self, _request, response):
+    def _reset(self):
         self._estimator.reset()
+        self._resets += 1
+
+    def _on_reset(self, _request, response):
+        self._reset()
         response.success, response.message = True, "starts anew"
         return response
 
@@ -389,20 +393,24 @@ class AttitudeNode(Node):
         self._report_imu(report, now_ns)
         self._report_altimeter(report, now_ns)
         self._report_faults(report)
+        self._report_state(report)
+        return report
+
+    def _report_state(self, report):
         estimate = self._estimator.estimate
-        if estimate.valid:
-            sigma = math.degrees(math.sqrt(np.trace(estimate.tilt_covariance_n)))
-            report.value("state", "attitude known")
-            report.value("tilt_sigma_deg", sigma)
-            if self._found_ns is None:
-                self._found_ns, self._found_standing = int(estimate.stamp_ns), self._check.standing
-            if not self._found_standing and estimate.stamp_ns - self._found_ns < FOUND_MOVING_NS:
-                report.fault(Level.WARN, "the attitude was found in motion: it may be far off for a minute")
-        else:
-            self._found_ns = None
+        if not (estimate.valid and estimate.stamp_ns):  # a reset leaves the last output without a stamp
+            self._found = None
             report.value("state", "INITIALISING")
             report.fault(Level.WARN, f"INITIALISING: {self._estimator.waiting_for}")
-        return report
+            return
+        report.value("state", "attitude known")
+        report.value("tilt_sigma_deg", math.degrees(math.sqrt(np.trace(estimate.tilt_covariance_n))))
+        starts = self._resets, self._estimator.faults.restarted
+        if self._found is None or self._found[0] != starts:
+            self._found = starts, int(estimate.stamp_ns), self._check.standing
+        _, found_ns, standing = self._found
+        if not standing and estimate.stamp_ns - found_ns < FOUND_MOVING_NS:
+            report.fault(Level.WARN, "the attitude was found in motion: it may be far off for a minute")
 
     def _report_imu(self, report, now_ns):
         report.value("imu_rate_hz", self._meter.stamp_rate)

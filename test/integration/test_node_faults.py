@@ -292,7 +292,7 @@ def test_what_a_message_says_besides_its_sample_is_judged(bench, tmp_path):
     assert "stamps go back and forth: two publishers?" in diagnostics.told("back and forth").message
 
     assert peer.call(Trigger, "/attitude_node/reset").success
-    stream(feed, 3.0, gyro=noisy([0.0, 0.0, 0.3], 1e-3))
+    stream(feed, 10.0, gyro=noisy([0.0, 0.0, 0.3], 1e-3))
     assert diagnostics.told("the attitude was found in motion").level >= WARN
 
 
