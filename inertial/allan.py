@@ -27,6 +27,7 @@ _ROUNDS = 8
 _POINTS_PER_OCTAVE = 48  # of the covariance's integral, which needs to be good to some per cent
 _TWO_SIDED, _ONE_SIDED = 1.960, 1.645  # sigmas of 95 %
 _LIMIT_ROUNDS = 4
+_RIDGE = 1e-6
 _FIT_SIGMAS = 3.090  # one-sided, one in a thousand: a fit that chance explains more rarely does not hold
 
 # A rest for less than this shows the white noise and hardly more.
@@ -389,7 +390,9 @@ def _covariance(curve, factor, squares):
     shaped = filters * spectrum
     terms = curve.count - 2 * factor + 1
     # Both sides of the spectrum, and the sum over all lags by Parseval's theorem.
-    return 4.0 / curve.interval * (shaped * width) @ shaped.T / np.maximum.outer(terms, terms)
+    covariance = 4.0 / curve.interval * (shaped * width) @ shaped.T / np.maximum.outer(terms, terms)
+    # Where one noise rules at several times their estimates are nearly the same: keep it invertible.
+    return covariance + np.diag(_RIDGE * np.diag(covariance))
 
 
 def _largest_misfit(freedom):
