@@ -754,6 +754,7 @@ def _integers(m):
 def reset(m):
     """Forget everything but the counters."""
     initialise(m)
+    m[M_OUT:M_INTS] = 0.0
     _forget_history(_integers(m))
 
 
