@@ -246,7 +246,16 @@ def _run_samples(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, noise, every, r
 
 @dataclass(frozen=True)
 class ChainRun:
-    """The whole alignment over a recording: time, error and spread of the heading, and whether it said ALIGNED."""
+    """The whole alignment over a recording.
+
+    Attributes
+    ----------
+    t : (K,), s
+    error, std : (K,), rad
+        Of the heading; NaN as long as none may be believed.
+    aligned : (K,) bool
+        Whether it said ALIGNED.
+    """
 
     t: np.ndarray
     error: np.ndarray
@@ -260,11 +269,20 @@ class ChainRun:
 
 
 def run_chain(stand, imu, params, period=10.0):
-    """Run the alignment over readings; a row after each period from the first result on."""
-    rows = [(result.stamp_ns, result.heading, result.heading_std, phase == "aligned")
-            for phase, result in StandingAligner(params).run(imu, period) if result is not None]
-    stamp_ns, heading, std, aligned = map(np.array, zip(*rows, strict=True))
-    return ChainRun((stamp_ns - imu.stamp_ns[0]) * 1e-9, wrap(heading - stand.heading(stamp_ns)), std, aligned)
+    """Run the alignment over readings; a row after each period."""
+    aligner = StandingAligner(params)
+    samples = round(period * 1e9 / np.median(np.diff(imu.stamp_ns)))
+    ends = range(samples, len(imu) + 1, samples)
+    rows = np.full((len(ends), 3), np.nan)
+    for row, end in zip(rows, ends, strict=True):
+        part = slice(end - samples, end)
+        aligner.run(ImuSeries(imu.stamp_ns[part], imu.gyro_b[part], imu.accel_b[part]), period)
+        if not aligner.refusal:
+            result = aligner.result
+            truth = stand.heading(np.array([result.stamp_ns]))[0]
+            row[:] = wrap(result.heading - truth), result.heading_std, aligner.phase == "aligned"
+    t = (imu.stamp_ns[samples - 1::samples] - imu.stamp_ns[0]) * 1e-9
+    return ChainRun(t[:len(rows)], rows[:, 0], rows[:, 1], rows[:, 2] == 1)
 
 
 def chain_job(stand, errors, params, seed, period=10.0):
@@ -313,4 +331,5 @@ def root_mean(values):
 def interval(mean_square, count):
     """Return the 95 % interval of the mean square of so many independent normal values (Wilson and Hilferty)."""
     part = 2 / (9 * count)
-    return tuple(mean_square / (1 - part + z * math.sqrt(part)) ** 3 for z in (1.96, -1.96))
+    # One value alone leaves the approximation's range: 0.1 is right for it.
+    return tuple(mean_square / max(1 - part + z * math.sqrt(part), 0.1) ** 3 for z in (1.96, -1.96))
