@@ -28,6 +28,7 @@ TH, V, POS, BG, BA, REF = 0, 3, 6, 9, 12, 15
 N_BLIND = 6  # north, east; their velocities; cosine and sine of the heading of the level frame
 BV, BC = 2, 4
 KINDS = ("fix", "velocity", "altitude", "inclinometer", "heading", "level")
+N_KINDS = len(KINDS)
 (K_FIX, K_VELOCITY, K_ALTITUDE, K_INCLINOMETER, K_HEADING, K_LEVEL) = range(len(KINDS))
 
 (X_PHASE, X_Q, X_V, X_P, X_BG, X_BA, X_REF, X_COV, X_RATE, X_ACC,
@@ -47,9 +48,8 @@ KINDS = ("fix", "velocity", "altitude", "inclinometer", "heading", "level")
 PARAMETER_NAMES = (
     "cascade", "steady", "local_gravity", "gyro_noise_density", "gyro_rate_error", "accel_noise_density",
     "accel_force_error", "gyro_bias_walk", "accel_bias_std", "accel_bias_time", "altitude_drift_density",
-    "altitude_scale_error", "innovation_gate", "recovery_time", "gap_limit", "measurement_buffer",
-    "accel_range", "heading_start_std", "cascade_bias_std", "cascade_bias_time", "axis_frequency",
-    "fix_interval", "antenna_x", "antenna_y", "antenna_z", "gyro_bias_std")
+    "altitude_scale_error", "innovation_gate", "recovery_time", "heading_start_std", "cascade_bias_std",
+    "cascade_bias_time", "axis_frequency", "fix_interval", "antenna_x", "antenna_y", "antenna_z")
 
 # One row of output.
 (OUT_VALID, OUT_HEADING, OUT_NAVIGATING, OUT_Q, OUT_V, OUT_P, OUT_BG, OUT_BA, OUT_GYRO, OUT_ACCEL, OUT_COV,
@@ -58,28 +58,18 @@ PARAMETER_NAMES = (
     81,  # covariance of attitude, velocity, position
     3, 3, 1)
 
-HISTORY = 1024  # IMU samples that can be taken back
-SNAPSHOTS = 16  # the state after every so many is kept
-MEASUREMENTS = 256
+# One row of history: a sample, then what the level estimator makes of it: north and east force, yaw, densities
+# squared of the force's and the yaw's error.
+(H_DT, H_GYRO, H_ACCEL, H_ACCEL_VAR, H_NORTH, H_EAST, H_YAW, H_FORCE_DENSITY2, H_YAW_DENSITY2,
+ H_SIZE) = _offsets(1, 3, 3, 1, 1, 1, 1, 1, 1)
 # What the level estimator says with each sample.
 (L_VALID, L_Q, L_TILT, L_VD, L_ALTITUDE, L_VD_VAR, L_ALTITUDE_VAR, L_BG, L_BA, L_BG_VAR, L_BA_VAR, L_GYRO,
  L_ACCEL, L_SIZE) = _offsets(1, 4, 3, 1, 1, 1, 1, 3, 3, 3, 3, 3, 3)
-(H_DT, H_GYRO, H_ACCEL, H_GYRO_VAR, H_ACCEL_VAR, H_LEVEL, H_SIZE) = _offsets(1, 3, 3, 1, 1, 5)
-# H_LEVEL: north and east force and yaw of the level frame, variance density of the force and of the yaw
-(Z_KIND, Z_VALUE, Z_COV, Z_SIZE) = _offsets(1, 3, 9)
-COUNTS = ("late", "ahead", "duplicate", "restarted", "heading_lost")
-(C_LATE, C_AHEAD, C_DUPLICATE, C_RESTARTED, C_HEADING_LOST) = range(len(COUNTS))
-(I_HEAD, I_STORED, I_QUEUED, I_NEXT, I_LAST, I_COUNTS) = range(6)
-I_STAMPS = I_COUNTS + len(COUNTS)
-I_Z_STAMPS = I_STAMPS + HISTORY
-I_SIZE = I_Z_STAMPS + MEASUREMENTS
-(M_STATE, M_PARAMETERS, M_EARTH, M_OUT, M_INTS, M_QUEUE, M_HISTORY, M_SNAPSHOTS, MEMORY_SIZE) = _offsets(
-    STATE_SIZE, len(PARAMETER_NAMES), 4, OUT_SIZE, I_SIZE, MEASUREMENTS * Z_SIZE, HISTORY * H_SIZE,
-    HISTORY // SNAPSHOTS * STATE_SIZE)
+(M_STATE, M_PARAMETERS, M_EARTH, MEMORY_SIZE) = _offsets(STATE_SIZE, len(PARAMETER_NAMES), 4)
 (P_CASCADE, P_STEADY, P_GRAVITY, P_GYRO_NOISE, P_RATE_ERROR, P_ACCEL_NOISE, P_FORCE_ERROR, P_GYRO_WALK,
- P_ACCEL_BIAS_STD, P_ACCEL_BIAS_TIME, P_ALT_DRIFT, P_ALT_SCALE, P_GATE, P_RECOVERY, P_GAP_LIMIT, P_BUFFER,
- P_ACCEL_RANGE, P_HEADING_STD, P_AXIS_BIAS_STD, P_AXIS_BIAS_TIME, P_AXIS_FREQUENCY, P_FIX_INTERVAL,
- P_ANTENNA, _, _, P_GYRO_BIAS_STD) = range(M_PARAMETERS, M_EARTH)
+ P_ACCEL_BIAS_STD, P_ACCEL_BIAS_TIME, P_ALT_DRIFT, P_ALT_SCALE, P_GATE, P_RECOVERY, P_HEADING_STD,
+ P_AXIS_BIAS_STD, P_AXIS_BIAS_TIME, P_AXIS_FREQUENCY, P_FIX_INTERVAL, P_ANTENNA) = range(
+     M_PARAMETERS, M_PARAMETERS + 20)
 
 # M_EARTH: 1 once there is a place; latitude and the radii (m) of the origin.
 EARTH_RATE = 7.292115e-5
@@ -95,17 +85,16 @@ FRESH = 1.5  # s within which a measurement still says what is now
 UNKNOWN_ACCEL_STD = 2.0  # m/s^2, spread of the acceleration while the force is unknown
 LOWPASS_TIME = 0.5  # s
 NIS_SHARE = 0.05  # of a new value in the mean NIS
-AHEAD_LIMIT = 1_000_000_000  # ns that a measurement may be ahead of the IMU
 AIDING_TIMEOUT = 3.0  # s without position and velocity before the level estimator's tilt is taken
-TILT_PERIOD, TILT_CORRELATION = 1.0, 20.0  # s between its tilts, and that its error lasts
+TILT_PERIOD = 1.0  # s between its tilts
 UNKNOWN_VARIANCE = 1e6
-OLD, STALE, OUTPUT = range(3)
+NOTHING, STARTED, LOST, TILT = range(4)  # what change_phase did or asks for
 
 
 # --- closed forms of paper 001 ----------------------------------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _fifth_coefficient(angle, third):
     """Return 2 (x^3/6 - x + sin x)/x^5, from the series below 0.3 rad."""
     x2 = angle * angle
@@ -114,7 +103,7 @@ def _fifth_coefficient(angle, third):
     return 2.0 * (1.0 / 6.0 - third) / x2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _fill(out, w, constant, linear, quadratic):
     """Fill out = constant I + linear [w x] + quadratic [w x]^2."""
     x, y, z = w[0], w[1], w[2]
@@ -129,7 +118,7 @@ def _fill(out, w, constant, linear, quadratic):
     out[2, 1] = quadratic * y * z + linear * x
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def attitude_model(w, dt, gyro_density, walk_density, theta, psi, q11, q12):
     """Fill Theta, Psi, Q11 and Q12 of paper 001 (eq 19 to 22) for a rate w held over dt."""
     angle = math.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2) * dt
@@ -143,7 +132,7 @@ def attitude_model(w, dt, gyro_density, walk_density, theta, psi, q11, q12):
     _fill(q12, w, -walk * dt2 / 2.0, walk * k2 * dt2 * dt, -walk * k3 * dt2 * dt2)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _dcm(q, c):
     """Fill the matrix of a unit quaternion, scalar first."""
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -158,7 +147,7 @@ def _dcm(q, c):
     c[2, 2] = w * w - x * x - y * y + z * z
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _multiply(p, q0, q1, q2, q3):
     """Replace the quaternion p by p q."""
     w, x, y, z = p[0], p[1], p[2], p[3]
@@ -168,7 +157,7 @@ def _multiply(p, q0, q1, q2, q3):
     p[3] = w * q3 + x * q2 - y * q1 + z * q0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _exp_parts(x, y, z):
     """Return the quaternion of a rotation vector."""
     half = 0.5 * math.sqrt(x * x + y * y + z * z)
@@ -176,14 +165,14 @@ def _exp_parts(x, y, z):
     return math.cos(half), k * x, k * y, k * z
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _normalise(q):
     k = 1.0 / math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     for i in range(4):
         q[i] *= k
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _turn_body(q, x, y, z):
     """Turn an attitude by a rotation vector in body axes."""
     w, a, b, c = _exp_parts(x, y, z)
@@ -191,7 +180,7 @@ def _turn_body(q, x, y, z):
     _normalise(q)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _turn_navigation(q, x, y, z):
     """Turn an attitude by a rotation vector in navigation axes: exp([v x]) C."""
     w, a, b, c = _exp_parts(x, y, z)
@@ -201,7 +190,7 @@ def _turn_navigation(q, x, y, z):
     _normalise(q)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def integrate_rates(q, before, now, dt):
     """Turn an attitude by point-sampled rates at both ends of dt (paper 001 eq 12, put right).
 
@@ -221,22 +210,24 @@ def integrate_rates(q, before, now, dt):
 # --- the Kalman update ------------------------------------------------------------------------------
 
 
-@njit(cache=True)
-def kalman_update(P, H, R, y, dx, gate):
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def kalman_update(P, H, R, y, dx, gate, d):
     """Update P in Joseph form and fill dx, unless the innovation fails the gate.
 
     Parameters
     ----------
-    P : (n, n), H : (d, n), R : (d, d), y : (d,), dx : (n,)
+    P : (n, n), H : (d or more, n), R : (d or more, d or more), y : (d or more,), dx : (n,)
     gate : float
         Largest normalised squared innovation.
+    d : int
+        How many components count.
 
     Returns
     -------
     float
         The normalised squared innovation (NIS); above `gate` nothing was changed.
     """
-    d, n = H.shape
+    n = len(P)
     ph, S, L = np.zeros((n, d)), np.empty((d, d)), np.zeros((d, d))
     for a in range(d):
         for j in range(n):
@@ -285,14 +276,14 @@ def kalman_update(P, H, R, y, dx, gate):
         dx[i] = 0.0
         for a in range(d):
             dx[i] += K[i, a] * y[a]
-    _joseph(P, H, R, K, ph)
+    _joseph(P, H, R, K, ph, d)
     return nis
 
 
-@njit(cache=True)
-def _joseph(P, H, R, K, ph):
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _joseph(P, H, R, K, ph, d):
     """Replace P by (I - K H) P (I - K H)^T + K R K^T."""
-    d, n = H.shape
+    n = len(P)
     for i in range(n):
         for j in range(n):
             for a in range(d):
@@ -319,7 +310,7 @@ def _joseph(P, H, R, K, ph):
 # --- attitude and gyro bias, paper 001 --------------------------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def mekf_predict(q, P, w, dt, gyro_density, walk_density):
     """Carry attitude and covariance (6, 6) over dt; w is the rate less the bias.
 
@@ -331,7 +322,7 @@ def mekf_predict(q, P, w, dt, gyro_density, walk_density):
     mekf_covariance(q, P, psi, q11, q12, walk_density * walk_density * dt)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def mekf_covariance(q, P, psi, q11, q12, q22):
     """Carry the covariance to the attitude q at the end of the interval; see :func:`mekf_predict`."""
     c, a, t = np.empty((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
@@ -356,7 +347,7 @@ def mekf_covariance(q, P, psi, q11, q12, q22):
             P[i, j] += t[i, 0] * c[j, 0] + t[i, 1] * c[j, 1] + t[i, 2] * c[j, 2]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def mekf_vector_update(q, bias, P, measured_b, reference_n, R, gate):
     """Update by a direction or vector known in the navigation frame; return the NIS.
 
@@ -372,7 +363,7 @@ def mekf_vector_update(q, bias, P, measured_b, reference_n, R, gate):
         H[0, j] = b[1] * c[j, 2] - b[2] * c[j, 1]
         H[1, j] = b[2] * c[j, 0] - b[0] * c[j, 2]
         H[2, j] = b[0] * c[j, 1] - b[1] * c[j, 0]
-    nis = kalman_update(P, H, R, y, dx, gate)
+    nis = kalman_update(P, H, R, y, dx, gate, 3)
     if nis <= gate:
         _turn_navigation(q, dx[0], dx[1], dx[2])
         for i in range(3):
@@ -380,13 +371,13 @@ def mekf_vector_update(q, bias, P, measured_b, reference_n, R, gate):
     return nis
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _wrap(angle):
     """Return the angle within half a turn of zero."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _heading_row(c, H):
     """Fill the derivative of the heading by the attitude error; return its estimate, NaN near the vertical."""
     level2 = c[0, 0] ** 2 + c[1, 0] ** 2
@@ -398,7 +389,7 @@ def _heading_row(c, H):
     return math.atan2(c[1, 0], c[0, 0])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def mekf_heading_update(q, bias, P, heading, variance, gate):
     """Update by a heading, rad clockwise from north; return the NIS, NaN when the nose is near the vertical."""
     c, H, R, y, dx = np.empty((3, 3)), np.zeros((1, 6)), np.empty((1, 1)), np.empty(1), np.zeros(6)
@@ -406,7 +397,7 @@ def mekf_heading_update(q, bias, P, heading, variance, gate):
     estimate = _heading_row(c, H)
     y[0] = _wrap(heading - estimate) if estimate == estimate else math.nan
     R[0, 0] = variance
-    nis = kalman_update(P, H, R, y, dx, gate)
+    nis = kalman_update(P, H, R, y, dx, gate, 1)
     if nis <= gate:
         _turn_navigation(q, dx[0], dx[1], dx[2])
         for i in range(3):
@@ -417,7 +408,7 @@ def mekf_heading_update(q, bias, P, heading, variance, gate):
 # --- the place on the Earth -------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _place(m, earth):
     """Fill gravity, the Earth's and the frame's rate (north, east, down each) and the metric of the position.
 
@@ -445,7 +436,7 @@ def _place(m, earth):
 # --- the 15-state error-state filter ----------------------------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _carry_mean(m, w, f, dt, dcm, gained):
     """Carry attitude, velocity and position; fill the mean matrix D of dt and the force's velocity gain D f."""
     q = m[X_Q:X_V]
@@ -475,7 +466,7 @@ def _carry_mean(m, w, f, dt, dcm, gained):
     _turn_navigation(q, -dt * (earth[1] + earth[4]), -dt * earth[5], -dt * (earth[3] + earth[6]))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _carry_rows(P, by_column, D, u, dt, decay):
     """Replace P by F P, or by P F^T column by column."""
     h = 0.5 * dt
@@ -505,7 +496,7 @@ def _carry_rows(P, by_column, D, u, dt, decay):
         A[BA + 2] *= decay
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def eskf_predict(m, dt, w, f, gyro_var, accel_var):
     """Carry the filter over dt (s); w and f less their biases, variances (rad^2, m^2/s^2) on top of the noise."""
     P = m[X_COV:X_RATE].reshape((N, N))
@@ -534,7 +525,7 @@ def eskf_predict(m, dt, w, f, gyro_var, accel_var):
             P[j, i] = P[i, j]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _lever(m, c, arm, swing):
     """Fill the antenna's place C l and its velocity C (w x l) relative to the IMU, NED."""
     w0, w1, w2 = m[X_RATE], m[X_RATE + 1], m[X_RATE + 2]
@@ -545,7 +536,7 @@ def _lever(m, c, arm, swing):
         swing[i] = c[i, 0] * s0 + c[i, 1] * s1 + c[i, 2] * s2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _fill_minus_cross(H, column, v):
     """Fill -[v x] into three columns of H."""
     H[0, column + 1], H[0, column + 2] = v[2], -v[1]
@@ -553,7 +544,7 @@ def _fill_minus_cross(H, column, v):
     H[2, column], H[2, column + 1] = v[1], -v[0]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def measurement_model(m, kind, z, age, H, y):
     """Fill rows and innovation of a measurement valid `age` s before the state; return how many rows count.
 
@@ -603,7 +594,7 @@ def measurement_model(m, kind, z, age, H, y):
     return 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _judge(m, kind, nis, d, gate):
     """Count a measurement as used or refused."""
     if nis <= gate:
@@ -617,13 +608,13 @@ def _judge(m, kind, nis, d, gate):
     m[X_NIS + kind] += share * (min(nis / d, 1e3) - m[X_NIS + kind])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _gate(m, kind, d):
     """Gate of `d` components, infinite once measurements have been refused for the recovery time."""
     return math.inf if m[X_REFUSING + kind] > m[P_RECOVERY] else m[P_GATE] + 3.0 * (d - 1)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def eskf_update(m, kind, z, cov, age):
     """Take one measurement; `cov` (3, 3) is its covariance, `age` s how long ago it was valid."""
     P = m[X_COV:X_RATE].reshape((N, N))
@@ -644,7 +635,7 @@ def eskf_update(m, kind, z, cov, age):
             else:
                 i = (POS if kind == K_FIX else V) + a
                 P[i, i] += y[a] ** 2
-    nis = kalman_update(P, H[:d], cov[:d, :d], y[:d], dx, gate)
+    nis = kalman_update(P, H, cov, y, dx, gate, d)
     _judge(m, kind, nis, d, gate)
     if nis <= gate:
         _turn_navigation(m[X_Q:X_V], dx[0], dx[1], dx[2])
@@ -659,7 +650,7 @@ def eskf_update(m, kind, z, cov, age):
 # --- the cascade of paper 001 -----------------------------------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def axis_predict(P, dt, density, bias_std, bias_time):
     """Carry the covariance [position, velocity, acceleration error] of one axis over dt."""
     h = 0.5 * dt * dt
@@ -678,7 +669,7 @@ def axis_predict(P, dt, density, bias_std, bias_time):
     P[2, 2] += bias_std * bias_std * (1.0 - decay * decay)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def cascade_predict(m, dt, w, f, gyro_var, accel_var):
     """Carry both filters of the cascade over dt (s)."""
     D, u = np.empty((3, 3)), np.empty(3)
@@ -702,20 +693,20 @@ def cascade_predict(m, dt, w, f, gyro_var, accel_var):
     m[X_DVEL_TIME] += dt
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _axis_update(m, i, which, y, variance):
     """Update one axis by its position (which = 0) or velocity (1)."""
     at = X_AXES_COV + 9 * i
     dx, H, R, innovation = np.zeros(3), np.zeros((1, 3)), np.empty((1, 1)), np.empty(1)
     H[0, which], R[0, 0], innovation[0] = 1.0, variance, y
-    nis = kalman_update(m[at:at + 9].reshape((3, 3)), H, R, innovation, dx, math.inf)
+    nis = kalman_update(m[at:at + 9].reshape((3, 3)), H, R, innovation, dx, math.inf, 1)
     m[X_P + i] += dx[0]
     m[X_V + i] += dx[1]
     m[X_AXES + i] += dx[2]
     return nis
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _steady_update(m, i, y, variance):
     """Paper 001 eq 8 and 9: position and velocity by the steady gain times the interval; the bias stays zero."""
     wn, dt = m[P_AXIS_FREQUENCY], m[P_FIX_INTERVAL]
@@ -727,14 +718,14 @@ def _steady_update(m, i, y, variance):
     return y * y / (m[at] + variance)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _axis_gate(m, i, which, y, variance):
     """Normalised squared innovation of one axis before its update."""
     at = X_AXES_COV + 9 * i + 4 * which
     return y * y / (m[at] + variance)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def cascade_update(m, kind, z, cov, age):
     """Take one measurement into the filter that it belongs to; parameters as :func:`eskf_update`."""
     H, y = np.empty((3, N)), np.zeros(3)
@@ -769,7 +760,7 @@ def cascade_update(m, kind, z, cov, age):
     _judge(m, kind, nis, d, gate)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _level_by_velocity(m, P, z, cov, age):
     """The force's mean less the aiding velocity's derivative is gravity: update the attitude filter by it.
 
@@ -793,7 +784,7 @@ def _level_by_velocity(m, P, z, cov, age):
     known = m[X_LAST_VELOCITY + 3] == 1.0
     m[X_LAST_VELOCITY + 3] = 1.0
     if known and 0.02 < span < FRESH:
-        if kalman_update(P, H, R, y, dx, m[P_GATE] + 6.0) <= m[P_GATE] + 6.0:
+        if kalman_update(P, H, R, y, dx, m[P_GATE] + 6.0, 3) <= m[P_GATE] + 6.0:
             _turn_navigation(m[X_Q:X_V], dx[0], dx[1], dx[2])
             for i in range(3):
                 m[X_BG + i] += dx[3 + i]
@@ -802,8 +793,8 @@ def _level_by_velocity(m, P, z, cov, age):
 # --- the start: level, heading unknown --------------------------------------------------------------
 
 
-@njit(cache=True)
-def _start_blind(m):
+@njit(cache=True, error_model="numpy")
+def start_blind(m):
     """Know nothing of the heading: cosine and sine zero, their covariance that of every direction."""
     m[X_BLIND:X_INTERVAL] = 0.0
     P = m[X_BLIND_COV:X_BLIND_ON].reshape((N_BLIND, N_BLIND))
@@ -813,7 +804,7 @@ def _start_blind(m):
         P[BC + i, BC + i] = 0.5
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def blind_predict(x, P, dt, north, east, force_density2, yaw_density2):
     """Carry the blind start over dt: horizontal force (m/s^2) in the level frame whose heading is sought.
 
@@ -848,7 +839,7 @@ def blind_predict(x, P, dt, north, east, force_density2, yaw_density2):
         P[BV + i, BV + i] += dt * force_density2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _blind_update(m, kind, z, cov, age, level_yaw):
     """Take a fix, a velocity or a heading into the blind start."""
     x = m[X_BLIND:X_BLIND_COV]
@@ -870,7 +861,7 @@ def _blind_update(m, kind, z, cov, age, level_yaw):
                 R[i, j] = cov[i, j]
             R[i, i] += (kind == K_FIX) * _arm2(m)
     gate = _gate(m, kind, 2)
-    nis = kalman_update(P, H, R, y, dx, gate)
+    nis = kalman_update(P, H, R, y, dx, gate, 2)
     _judge(m, kind, nis, 2, gate)
     if nis <= gate:
         for i in range(N_BLIND):
@@ -881,12 +872,12 @@ def _blind_update(m, kind, z, cov, age, level_yaw):
             m[at], m[at + 1], m[at + 2] = z[2], cov[2, 2], age
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _arm2(m):
     return m[P_ANTENNA] ** 2 + m[P_ANTENNA + 1] ** 2 + m[P_ANTENNA + 2] ** 2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def blind_heading_variance(m):
     """Variance of the blind start's heading, rad^2; UNKNOWN_VARIANCE until there is a direction."""
     c, s = m[X_BLIND + BC], m[X_BLIND + BC + 1]
@@ -897,7 +888,7 @@ def blind_heading_variance(m):
     return (s * s * P[BC, BC] - 2.0 * s * c * P[BC, BC + 1] + c * c * P[BC + 1, BC + 1]) / (r2 * r2)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _may_navigate(m):
     """Whether heading and velocity are known well enough for a filter of small errors."""
     P = m[X_BLIND_COV:X_BLIND_ON].reshape((N_BLIND, N_BLIND))
@@ -906,7 +897,7 @@ def _may_navigate(m):
             and P[BC, BC] + P[BC + 1, BC + 1] < 4.0 * m[P_HEADING_STD] ** 2)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _start_navigating(m, L):
     """Put the filter of small errors where the level estimator and the blind start have come to."""
     heading = math.atan2(m[X_BLIND + BC + 1], m[X_BLIND + BC])
@@ -939,7 +930,7 @@ def _start_navigating(m, L):
     m[X_PHASE] = 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _start_vertical(m, P, L):
     """Height and its rate from the aids where they are fresh, otherwise from the level estimator."""
     v, variance, age = m[X_DOWN_VEL], m[X_DOWN_VEL + 1], m[X_DOWN_VEL + 2]
@@ -958,7 +949,7 @@ def _start_vertical(m, P, L):
         m[X_REF], P[REF, REF] = 0.0, 1e-6
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _start_cascade(m, P):
     """Lay the covariance out as the cascade has it."""
     Q = np.empty((6, 6))
@@ -980,11 +971,11 @@ def _start_cascade(m, P):
             m[X_COV + 6 * i + j] = Q[i, j]
 
 
-# --- a sample and the time buffer -------------------------------------------------------------------
+# --- from Python ------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
-def _track(m, dt, sample):
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def _track(m, dt, row):
     """Follow the mean interval and how much the samples vary; return what a lost part of dt may have held."""
     usual = m[X_INTERVAL] if m[X_INTERVAL] > 0.0 else dt
     lost = max(dt - 1.5 * usual, 0.0) * (dt - usual)
@@ -992,7 +983,7 @@ def _track(m, dt, sample):
     gain = dt / (LOWPASS_TIME + dt)
     dw2 = df2 = 0.0
     for i in range(3):
-        dw, df = sample[i] - m[X_GYRO_LP + i], sample[3 + i] - m[X_ACCEL_LP + i]
+        dw, df = row[H_GYRO + i] - m[X_GYRO_LP + i], row[H_ACCEL + i] - m[X_ACCEL_LP + i]
         m[X_GYRO_LP + i] += gain * dw
         m[X_ACCEL_LP + i] += gain * df
         dw2 += dw * dw
@@ -1002,29 +993,51 @@ def _track(m, dt, sample):
     return lost * m[X_GYRO_SPREAD] / 3.0, lost * m[X_ACCEL_SPREAD]
 
 
-@njit(cache=True)
-def _step(m, row):
-    """Carry whatever runs over one remembered sample."""
-    h = m[row:row + H_SIZE]
-    dt = h[H_DT]
-    for k in range(len(KINDS)):
+@njit(cache=True, error_model="numpy")
+def fill_row(m, L, dt, force_known, row):
+    """Fill one row of history: the sample of the dt (s) before it and what the level estimator makes of it."""
+    row[:] = 0.0
+    row[H_DT] = dt
+    for i in range(3):
+        row[H_GYRO + i] = L[L_GYRO + i] + L[L_BG + i]
+        row[H_ACCEL + i] = L[L_ACCEL + i] + L[L_BA + i]
+    row[H_ACCEL_VAR] = 0.0 if force_known else (dt * UNKNOWN_ACCEL_STD) ** 2
+    row[H_FORCE_DENSITY2], row[H_YAW_DENSITY2] = UNKNOWN_ACCEL_STD**2, 0.1
+    if L[L_VALID] == 1.0:
+        c = np.empty((3, 3))
+        _dcm(L[L_Q:L_TILT], c)
+        bias_var = 0.0
+        for i in range(3):
+            row[H_NORTH] += c[0, i] * L[L_ACCEL + i]
+            row[H_EAST] += c[1, i] * L[L_ACCEL + i]
+            bias_var += c[2, i] ** 2 * L[L_BG_VAR + i]
+        row[H_YAW] = math.atan2(c[1, 0], c[0, 0])
+        tilt = L[L_TILT] + L[L_TILT + 2]
+        row[H_FORCE_DENSITY2] = m[P_ACCEL_NOISE] ** 2 + m[P_GRAVITY] ** 2 * tilt * TILT_TIME
+        row[H_YAW_DENSITY2] = m[P_GYRO_NOISE] ** 2 + 2.0 * YAW_BIAS_TIME * bias_var
+
+
+@njit(cache=True, error_model="numpy")
+def carry(m, row):
+    """Carry whatever runs over one row of history."""
+    dt = row[H_DT]
+    for k in range(N_KINDS):
         m[X_SINCE + k] += dt
         if m[X_REFUSING + k] > 0.0:
             m[X_REFUSING + k] += dt
-    gyro_var, accel_var = _track(m, dt, h[H_GYRO:H_GYRO_VAR])
-    gyro_var += h[H_GYRO_VAR]
-    accel_var += h[H_ACCEL_VAR]
+    gyro_var, accel_var = _track(m, dt, row)
+    accel_var += row[H_ACCEL_VAR]
     if m[X_PHASE] == 0.0:
         m[X_DOWN_FIX + 2] += dt
         m[X_DOWN_VEL + 2] += dt
-        level = h[H_LEVEL:H_SIZE]
         blind_predict(m[X_BLIND:X_BLIND_COV], m[X_BLIND_COV:X_BLIND_ON].reshape((N_BLIND, N_BLIND)), dt,
-                      level[0], level[1], level[3] + accel_var / dt, level[4] + gyro_var / dt)
+                      row[H_NORTH], row[H_EAST], row[H_FORCE_DENSITY2] + accel_var / dt,
+                      row[H_YAW_DENSITY2] + gyro_var / dt)
         return
     w, f = np.empty(3), np.empty(3)
     for i in range(3):
-        w[i] = h[H_GYRO + i] - m[X_BG + i]
-        f[i] = h[H_ACCEL + i] - m[X_BA + i]
+        w[i] = row[H_GYRO + i] - m[X_BG + i]
+        f[i] = row[H_ACCEL + i] - m[X_BA + i]
         m[X_RATE + i] = w[i]
     if m[P_CASCADE] == 1.0:
         cascade_predict(m, dt, w, f, gyro_var, accel_var)
@@ -1032,11 +1045,9 @@ def _step(m, row):
         eskf_predict(m, dt, w, f, gyro_var, accel_var)
 
 
-@njit(cache=True)
-def _apply(m, row, age, level_yaw):
-    """Take a remembered measurement into whatever runs."""
-    kind = int(m[row + Z_KIND])
-    z, cov = m[row + Z_VALUE:row + Z_COV], m[row + Z_COV:row + Z_SIZE].reshape((3, 3))
+@njit(cache=True, error_model="numpy")
+def take(m, kind, z, cov, age, level_yaw):
+    """Take a measurement, valid `age` s ago, into whatever runs; the yaw is that of the level frame now."""
     if m[X_PHASE] == 0.0:
         if kind == K_FIX or kind == K_VELOCITY or kind == K_HEADING:
             _blind_update(m, kind, z, cov, age, level_yaw)
@@ -1048,243 +1059,27 @@ def _apply(m, row, age, level_yaw):
         eskf_update(m, kind, z, cov, age)
 
 
-@njit(cache=True)
-def _integers(m):
-    return m[M_INTS:M_QUEUE].view(np.int64)
-
-
-@njit(cache=True)
-def reset(m):
-    """Forget everything but the counters and the parameters."""
-    m[:STATE_SIZE] = 0.0
-    m[X_Q] = 1.0
-    for k in range(len(KINDS)):
-        m[X_SINCE + k] = 1e9
-    _start_blind(m)
-    ints = _integers(m)
-    ints[:I_COUNTS] = 0
-    ints[I_HEAD] = -1
-
-
-@njit(cache=True)
-def _begin_history(m, ints, stamp):
-    """Forget the samples before this one; measurements that wait for later ones stay."""
-    kept = ints[I_QUEUED] - ints[I_NEXT]
-    for k in range(kept):
-        _move(m, ints, ints[I_NEXT] + k, k)
-    ints[I_QUEUED], ints[I_NEXT] = kept, 0
-    ints[I_HEAD], ints[I_STORED] = 0, 1
-    ints[I_STAMPS] = stamp
-    ints[I_LAST] = stamp
-    m[M_HISTORY:M_HISTORY + H_SIZE] = 0.0
-    m[M_SNAPSHOTS:M_SNAPSHOTS + STATE_SIZE] = m[:STATE_SIZE]
-
-
-@njit(cache=True)
-def _keep_state(m, head):
-    if head % SNAPSHOTS == 0:
-        at = M_SNAPSHOTS + head // SNAPSHOTS * STATE_SIZE
-        m[at:at + STATE_SIZE] = m[:STATE_SIZE]
-
-
-@njit(cache=True)
-def _advance(m, ints, head):
-    """Step over a remembered sample, take the measurements up to its stamp, keep the state."""
-    row = M_HISTORY + head * H_SIZE
-    if m[row + H_DT] > 0.0:
-        _step(m, row)
-    _apply_due(m, ints, head)
-    _keep_state(m, head)
-
-
-@njit(cache=True)
-def _apply_due(m, ints, head):
-    stamp = ints[I_STAMPS + head]
-    while ints[I_NEXT] < ints[I_QUEUED] and ints[I_Z_STAMPS + ints[I_NEXT]] <= stamp:
-        age = (stamp - ints[I_Z_STAMPS + ints[I_NEXT]]) * 1e-9
-        _apply(m, M_QUEUE + Z_SIZE * ints[I_NEXT], age, m[M_HISTORY + head * H_SIZE + H_LEVEL + 2])
-        ints[I_NEXT] += 1
-
-
-@njit(cache=True)
-def _remember(m, ints, stamp, dt, sample, L, accel_var):
-    """Write a sample and what the level estimator makes of it into the next row of history."""
-    head = (ints[I_HEAD] + 1) % HISTORY
-    ints[I_HEAD] = head
-    ints[I_STORED] = min(ints[I_STORED] + 1, HISTORY)
-    ints[I_STAMPS + head] = stamp
-    ints[I_LAST] = stamp
-    h = m[M_HISTORY + head * H_SIZE:M_HISTORY + (head + 1) * H_SIZE]
-    h[H_DT] = dt
-    h[H_GYRO:H_GYRO_VAR] = sample
-    h[H_GYRO_VAR] = 0.0
-    h[H_ACCEL_VAR] = accel_var
-    level = h[H_LEVEL:H_SIZE]
-    level[:] = 0.0
-    level[3], level[4] = UNKNOWN_ACCEL_STD**2, 0.1
-    if L[L_VALID] == 1.0:
-        c = np.empty((3, 3))
-        _dcm(L[L_Q:L_TILT], c)
-        bias_var = 0.0
-        for i in range(3):
-            level[0] += c[0, i] * L[L_ACCEL + i]
-            level[1] += c[1, i] * L[L_ACCEL + i]
-            bias_var += c[2, i] ** 2 * L[L_BG_VAR + i]
-        level[2] = math.atan2(c[1, 0], c[0, 0])
-        tilt = L[L_TILT] + L[L_TILT + 2]
-        level[3] = m[P_ACCEL_NOISE] ** 2 + m[P_GRAVITY] ** 2 * tilt * TILT_TIME
-        level[4] = m[P_GYRO_NOISE] ** 2 + 2.0 * YAW_BIAS_TIME * bias_var
-
-
-@njit(cache=True)
-def _take_imu(m, ints, stamp, sample, L, force_known):
-    """Step over a checked sample; change what runs where it is time."""
-    dt = (stamp - ints[I_LAST]) * 1e-9
-    if ints[I_STORED] > 0 and dt > m[P_GAP_LIMIT]:
-        ints[I_COUNTS + C_RESTARTED] += 1
-        reset(m)
-    if ints[I_STORED] == 0:
-        for i in range(3):
-            m[X_GYRO_LP + i], m[X_ACCEL_LP + i] = sample[i], sample[3 + i]
-        _begin_history(m, ints, stamp)
-        return
-    accel_var = 0.0 if force_known else (dt * UNKNOWN_ACCEL_STD) ** 2
-    _remember(m, ints, stamp, dt, sample, L, accel_var)
-    _advance(m, ints, ints[I_HEAD])
+@njit(cache=True, error_model="numpy")
+def change_phase(m, L):
+    """Begin to navigate or go back to the start where it is time; return what was done, of NOTHING to TILT."""
     if m[X_PHASE] == 0.0:
         if L[L_VALID] == 1.0 and _may_navigate(m):
             _start_navigating(m, L)
-            _begin_history(m, ints, stamp)
-        return
+            return STARTED
+        return NOTHING
     if m[X_COV + (2 * 6 + 2 if m[P_CASCADE] == 1.0 else 2 * N + 2)] > HEADING_LOST_STD**2:
-        ints[I_COUNTS + C_HEADING_LOST] += 1
         m[X_PHASE] = 0.0
-        _start_blind(m)
-        _begin_history(m, ints, stamp)
-    elif L[L_VALID] == 1.0:
-        _take_level(m, ints, stamp, L)
-
-
-@njit(cache=True)
-def _take_level(m, ints, stamp, L):
-    """Where nothing else shows the tilt, take that of the level estimator now and then."""
+        start_blind(m)
+        return LOST
     aided = min(m[X_SINCE + K_FIX], m[X_SINCE + K_VELOCITY], m[X_SINCE + K_INCLINOMETER])
-    if aided < AIDING_TIMEOUT or m[X_SINCE + K_LEVEL] < TILT_PERIOD:
-        return
-    q = L[L_Q:L_TILT]
-    down, cov = np.empty(3), np.zeros((3, 3))
-    down[0] = 2.0 * (q[1] * q[3] - q[0] * q[2])
-    down[1] = 2.0 * (q[2] * q[3] + q[0] * q[1])
-    down[2] = q[0] ** 2 - q[1] ** 2 - q[2] ** 2 + q[3] ** 2
-    for i in range(3):
-        cov[i, i] = 0.5 * (L[L_TILT] + L[L_TILT + 2]) * TILT_CORRELATION / TILT_PERIOD
-    m[X_SINCE + K_LEVEL] = 0.0
-    _take_measurement(m, ints, stamp, K_LEVEL, down, cov)
+    if L[L_VALID] == 1.0 and aided > AIDING_TIMEOUT and m[X_SINCE + K_LEVEL] > TILT_PERIOD:
+        return TILT
+    return NOTHING
 
 
-@njit(cache=True)
-def _take_measurement(m, ints, stamp, kind, z, cov):
-    """Put a measurement where it belongs in time; return whether it counts.
-
-    One that is ahead of the IMU waits for it; a late one takes the filter back to its stamp and steps over the
-    remembered samples again.
-    """
-    if ints[I_STORED] == 0 or stamp > ints[I_LAST] + AHEAD_LIMIT:
-        ints[I_COUNTS + C_AHEAD] += ints[I_STORED] > 0
-        return False
-    place = ints[I_QUEUED]
-    while place > 0 and ints[I_Z_STAMPS + place - 1] > stamp:
-        place -= 1
-    before = place - 1
-    while before >= 0 and ints[I_Z_STAMPS + before] == stamp:
-        if m[M_QUEUE + Z_SIZE * before] == kind:
-            ints[I_COUNTS + C_DUPLICATE] += 1
-            return False
-        before -= 1
-    back = 0
-    while back < ints[I_STORED] and ints[I_STAMPS + (ints[I_HEAD] - back) % HISTORY] >= stamp:
-        back += 1
-    newest = back <= 1 and ints[I_STORED] > 1 and place == ints[I_NEXT] == ints[I_QUEUED]
-    if back > 0 and not newest:
-        back += (ints[I_HEAD] - back) % SNAPSHOTS
-        if back >= ints[I_STORED] or ints[I_LAST] - stamp > m[P_BUFFER] * 1e9:
-            ints[I_COUNTS + C_LATE] += 1
-            return False
-    _insert(m, ints, place, stamp, kind, z, cov)
-    if newest and back == 1:
-        # Since the sample before, and the last of all: what a rewind would come to.
-        _apply_due(m, ints, ints[I_HEAD])
-        _keep_state(m, ints[I_HEAD])
-    elif back > 0:
-        _rewind(m, ints, back)
-    return True
-
-
-@njit(cache=True)
-def _insert(m, ints, place, stamp, kind, z, cov):
-    """Put a measurement among the remembered ones; a full memory loses its older half."""
-    if ints[I_QUEUED] == MEASUREMENTS:
-        half = MEASUREMENTS // 2
-        for k in range(half, MEASUREMENTS):
-            _move(m, ints, k, k - half)
-        ints[I_QUEUED] -= half
-        ints[I_NEXT] = max(ints[I_NEXT] - half, 0)
-        place = max(place - half, 0)
-    for k in range(ints[I_QUEUED], place, -1):
-        _move(m, ints, k - 1, k)
-    ints[I_Z_STAMPS + place] = stamp
-    row = m[M_QUEUE + Z_SIZE * place:M_QUEUE + Z_SIZE * (place + 1)]
-    row[Z_KIND] = kind
-    for i in range(3):
-        row[Z_VALUE + i] = z[i]
-        for j in range(3):
-            row[Z_COV + 3 * i + j] = cov[i, j]
-    ints[I_QUEUED] += 1
-
-
-@njit(cache=True)
-def _move(m, ints, source, target):
-    ints[I_Z_STAMPS + target] = ints[I_Z_STAMPS + source]
-    for k in range(Z_SIZE):
-        m[M_QUEUE + Z_SIZE * target + k] = m[M_QUEUE + Z_SIZE * source + k]
-
-
-@njit(cache=True)
-def _rewind(m, ints, back):
-    """Go back before the last `back` samples and step over them again."""
-    origin = (ints[I_HEAD] - back) % HISTORY
-    at = M_SNAPSHOTS + origin // SNAPSHOTS * STATE_SIZE
-    m[:STATE_SIZE] = m[at:at + STATE_SIZE]
-    ints[I_NEXT] = 0
-    while ints[I_NEXT] < ints[I_QUEUED] and ints[I_Z_STAMPS + ints[I_NEXT]] <= ints[I_STAMPS + origin]:
-        ints[I_NEXT] += 1
-    for k in range(back - 1, -1, -1):
-        _advance(m, ints, (ints[I_HEAD] - k) % HISTORY)
-
-
-# --- from Python ------------------------------------------------------------------------------------
-
-
-@njit(cache=True)
-def push_imu(m, stamp, L, force_known):
-    """Take one sample with what the level estimator says; the output row is then in the memory."""
-    ints = _integers(m)
-    sample = np.empty(6)
-    for i in range(3):
-        sample[i] = L[L_GYRO + i] + L[L_BG + i]
-        sample[3 + i] = L[L_ACCEL + i] + L[L_BA + i]
-    _take_imu(m, ints, stamp, sample, L, force_known)
-    _write_output(m, L, sample, m[M_OUT:M_INTS])
-
-
-@njit(cache=True)
-def push_measurement(m, stamp, kind, z, cov):
-    """Take a measurement at its stamp (ns); return whether it counts."""
-    return _take_measurement(m, _integers(m), stamp, kind, z, cov)
-
-
-@njit(cache=True)
-def _write_output(m, L, sample, out):
+@njit(cache=True, error_model="numpy")
+def write_output(m, L, row, out):
+    """Fill one row of output from the state, the level estimator and the last row of history."""
     out[:] = 0.0
     C = out[OUT_COV:OUT_BG_VAR].reshape((9, 9))
     if m[X_PHASE] == 0.0:
@@ -1294,8 +1089,8 @@ def _write_output(m, L, sample, out):
     out[OUT_Q:OUT_GYRO] = m[X_Q:X_REF]
     out[OUT_REF] = m[X_REF]
     for i in range(3):
-        out[OUT_GYRO + i] = sample[i] - m[X_BG + i]
-        out[OUT_ACCEL + i] = sample[3 + i] - m[X_BA + i]
+        out[OUT_GYRO + i] = row[H_GYRO + i] - m[X_BG + i]
+        out[OUT_ACCEL + i] = row[H_ACCEL + i] - m[X_BA + i]
     if m[P_CASCADE] == 1.0:
         for i in range(3):
             out[OUT_BG_VAR + i] = m[X_COV + 7 * (3 + i)]
@@ -1312,7 +1107,7 @@ def _write_output(m, L, sample, out):
         out[OUT_BG_VAR + i], out[OUT_BA_VAR + i] = P[BG + i, BG + i], P[BA + i, BA + i]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def _write_start(m, L, out, C):
     """Before it navigates: the level estimator's tilt, the blind start's heading, position and velocity."""
     q = out[OUT_Q:OUT_V]

@@ -7,7 +7,8 @@ counts at its stamp, also when it arrives late. Frames and units: :mod:`inertial
 and down of the first fix.
 """
 
-from dataclasses import dataclass, make_dataclass
+from collections import Counter
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,15 +16,19 @@ from attitude_estimator import _kernels as level_kernels
 from attitude_estimator.estimator import AttitudeEstimator
 from attitude_estimator.navigation import _kernels as kernels
 from attitude_estimator.navigation.params import NavigationParams
+from attitude_estimator.navigation.time_buffer import TimeBuffer
 from inertial.earth import normal_gravity, radii_of_curvature
+from inertial.rotation import down_from_quaternion
 
 KINDS = kernels.KINDS[:-1]
 """What a measurement can be."""
+NEVER = 1e9  # s since a measurement that has not come
 UNKNOWN_VARIANCE = kernels.UNKNOWN_VARIANCE
 """Variance of what is not known, in the unit of its entry."""
 
-NavigationFaults = make_dataclass("NavigationFaults", [(name, int) for name in kernels.COUNTS])
-NavigationFaults.__doc__ = "How often each fault of the aids was seen since the estimator was made."
+TILT_CORRELATION = 20.0
+"""Seconds that an error of the level estimator's tilt lasts."""
+_FAULTS = ("measurement_late", "measurement_ahead", "measurement_duplicate", "restarted", "heading_lost")
 
 
 def _columns(*fields):
@@ -156,6 +161,9 @@ class NavigationEstimator:
 
     def __init__(self, params=None):
         self._memory = np.zeros(kernels.MEMORY_SIZE)
+        self._row = np.zeros(kernels.OUT_SIZE)
+        self._counts = Counter(dict.fromkeys(_FAULTS, 0))
+        self._buffer = TimeBuffer(self._memory[:kernels.STATE_SIZE], kernels.H_SIZE, self._carry, self._take)
         self._level = None
         self.params = NavigationParams() if params is None else params
         self.reset()
@@ -180,8 +188,15 @@ class NavigationEstimator:
         self._origin = None
         self._memory[kernels.M_EARTH] = 0.0
         self._memory[kernels.P_GRAVITY] = self._params.local_gravity()
-        self._last_height = 0.0
-        kernels.reset(self._memory)
+        self._restart()
+
+    def _restart(self):
+        state = self._memory[:kernels.STATE_SIZE]
+        state[:] = 0.0
+        state[kernels.X_Q] = 1.0
+        state[kernels.X_SINCE:kernels.X_NIS] = NEVER
+        kernels.start_blind(self._memory)
+        self._buffer.clear()
 
     @property
     def origin(self):
@@ -210,9 +225,41 @@ class NavigationEstimator:
         """
         if not self._level.add_imu(stamp_ns, gyro_b, accel_b):
             return False
-        force_known = bool(np.abs(accel_b).max() <= self._params.accel_range)
-        kernels.push_imu(self._memory, stamp_ns, self._level.estimate.rows[_LEVEL], force_known)
+        level = self._level.estimate.rows[_LEVEL]
+        dt = (stamp_ns - self._buffer.last_ns) * 1e-9
+        if len(self._buffer) and dt > self._params.gap_limit:
+            self._counts["restarted"] += 1
+            self._restart()
+        row = self._buffer.next_row
+        kernels.fill_row(self._memory, level, dt, bool(np.abs(accel_b).max() <= self._params.accel_range), row)
+        if len(self._buffer):
+            self._buffer.add(stamp_ns)
+            self._change_phase(stamp_ns, level)
+        else:
+            self._memory[kernels.X_GYRO_LP:kernels.X_GYRO_SPREAD] = row[kernels.H_GYRO:kernels.H_ACCEL_VAR]
+            self._buffer.begin(stamp_ns)
+        kernels.write_output(self._memory, level, row, self._row)
         return True
+
+    def _carry(self, row):
+        kernels.carry(self._memory, row)
+
+    def _take(self, measurement, age, row):
+        kernels.take(self._memory, *measurement, age, row[kernels.H_YAW])
+
+    def _change_phase(self, stamp_ns, level):
+        done = kernels.change_phase(self._memory, level)
+        if done == kernels.TILT:
+            self._take_level_tilt(stamp_ns, level)
+        elif done != kernels.NOTHING:
+            self._counts["heading_lost"] += done == kernels.LOST
+            self._buffer.begin(stamp_ns)
+
+    def _take_level_tilt(self, stamp_ns, level):
+        """Where nothing else shows the tilt, take that of the level estimator now and then."""
+        q_nb_wxyz, (nn, _, ee) = np.split(level[kernels.L_Q:kernels.L_VD], [4])
+        variance = 0.5 * (nn + ee) * TILT_CORRELATION / kernels.TILT_PERIOD
+        self._insert(stamp_ns, kernels.K_LEVEL, down_from_quaternion(q_nb_wxyz), np.eye(3) * variance)
 
     def add_fix(self, stamp_ns, latitude, longitude, height, covariance_n=None):
         """Take a fix of the antenna: rad, rad, m above the ellipsoid, covariance (3, 3) m^2 in NED.
@@ -233,7 +280,7 @@ class NavigationEstimator:
         if self._origin is None:
             self._set_origin(latitude, longitude, height)
         latitude0, longitude0, height0 = self._origin
-        _, _, meridian, transverse = self._memory[kernels.M_EARTH:kernels.M_OUT]
+        _, _, meridian, transverse = self._memory[kernels.M_EARTH:]
         east = np.remainder(longitude - longitude0 + np.pi, 2 * np.pi) - np.pi
         position_n = np.array([(latitude - latitude0) * meridian, east * transverse * np.cos(latitude0),
                                height0 - height])
@@ -254,7 +301,7 @@ class NavigationEstimator:
             return False
         covariance = np.eye(3) * (variance if variance > 0.0 else self._params.altitude_std**2)
         stamp_ns -= round(self._params.altitude_delay * 1e9)
-        return kernels.push_measurement(self._memory, stamp_ns, kernels.K_ALTITUDE, np.full(3, altitude), covariance)
+        return self._insert(stamp_ns, kernels.K_ALTITUDE, np.full(3, altitude), covariance)
 
     def add_inclinometer(self, stamp_ns, down_b):
         """Take the down direction in body axes, (3,); its length does not matter; as :meth:`add_fix`."""
@@ -277,24 +324,27 @@ class NavigationEstimator:
         if not (np.isfinite(covariance).all() and (np.diagonal(covariance) > 0.0).all()):
             raise ValueError(f"{kernels.KINDS[kind]} covariance has a diagonal of {np.diagonal(covariance)}: "
                              "must be positive")
-        return kernels.push_measurement(self._memory, stamp_ns, kind, value, covariance)
+        return self._insert(stamp_ns, kind, value, covariance)
+
+    def _insert(self, stamp_ns, kind, value, covariance):
+        if not len(self._buffer):
+            return False
+        fault = self._buffer.insert(stamp_ns, (kind, value, covariance), round(self._params.measurement_buffer * 1e9))
+        if fault:
+            self._counts[f"measurement_{fault}"] += 1
+        return not fault
 
     def _set_origin(self, latitude, longitude, height):
         self._origin = latitude, longitude, height
         meridian, transverse = radii_of_curvature(latitude)
-        self._memory[kernels.M_EARTH:kernels.M_OUT] = [1.0, latitude, meridian + height, transverse + height]
+        self._memory[kernels.M_EARTH:] = [1.0, latitude, meridian + height, transverse + height]
         if np.isnan(self._params.gravity):
             self._memory[kernels.P_GRAVITY] = normal_gravity(latitude, height)
 
     @property
     def estimate(self):
         """Navigation after the last sample, as a copy."""
-        row = self._memory[kernels.M_OUT:kernels.M_INTS].copy()
-        return Navigation(int(self._ints[kernels.I_LAST]), row)
-
-    @property
-    def _ints(self):
-        return self._memory[kernels.M_INTS:kernels.M_QUEUE].view(np.int64)
+        return Navigation(self._buffer.last_ns, self._row.copy())
 
     @property
     def health(self):
@@ -303,13 +353,13 @@ class NavigationEstimator:
         used, refused = m[kernels.X_USED:kernels.X_REFUSED], m[kernels.X_REFUSED:kernels.X_REFUSING]
         return {name: SensorHealth(int(used[k]), int(refused[k]),
                                    float(m[kernels.X_NIS + k]) if used[k] + refused[k] else np.nan,
-                                   float(m[kernels.X_SINCE + k]) if m[kernels.X_SINCE + k] < 1e8 else np.inf)
+                                   float(m[kernels.X_SINCE + k]) if m[kernels.X_SINCE + k] < NEVER else np.inf)
                 for k, name in enumerate(kernels.KINDS)}
 
     @property
     def faults(self):
-        """NavigationFaults so far."""
-        return NavigationFaults(*(int(n) for n in self._ints[kernels.I_COUNTS:kernels.I_STAMPS]))
+        """Name -> how often each fault of the aids was seen since the estimator was made."""
+        return dict(self._counts)
 
     @property
     def level_faults(self):
@@ -337,3 +387,4 @@ class NavigationEstimator:
             self.add_altitude(1 + k * 40_000_000, 0.0)
             self.add_velocity(1 + k * 40_000_000, np.zeros(3))
         self.reset()
+        self._counts.update(dict.fromkeys(self._counts, 0))
