@@ -12,7 +12,6 @@ import time
 from collections import Counter
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, TransformStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
@@ -140,7 +139,7 @@ class AttitudeNode(Node):
 
     def _store_biases(self):
         estimate = self._estimator.estimate
-        if not (self._params.bias_file and estimate.valid and estimate.stamp_ns):
+        if not (self._params.bias_file and estimate.valid):
             return
         try:
             write_biases(self._params.bias_file, biases_to_store(estimate))
@@ -219,8 +218,7 @@ class AttitudeNode(Node):
         except MalformedMessageError as error:
             self._fault("malformed", f"imu/data_raw: {error}", Level.WARN)
         except Exception as error:
-            if rclpy.ok():  # otherwise a signal has shut down under this message
-                self._fault("exception", f"imu/data_raw: {type(error).__name__}: {error}", Level.ERROR)
+            self._fault("exception", f"imu/data_raw: {type(error).__name__}: {error}", Level.ERROR)
 
     def _accept_stamp(self, stamp_ns):
         code = self._gate.check(stamp_ns)
@@ -398,7 +396,7 @@ class AttitudeNode(Node):
 
     def _report_state(self, report):
         estimate = self._estimator.estimate
-        if not (estimate.valid and estimate.stamp_ns):  # a reset leaves the last output without a stamp
+        if not estimate.valid:
             self._found = None
             report.value("state", "INITIALISING")
             report.fault(Level.WARN, f"INITIALISING: {self._estimator.waiting_for}")
