@@ -5,15 +5,17 @@ Cramer-Rao bound is to be met, all errors of a grade where the product is on tri
 is measured with white noise of sigma_R, as paper 002's equation 1 has it. Angles in rad, time in s.
 """
 
+import itertools
 import math
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
 from alignment.standing import _kernels as kernels
 from alignment.standing.aligner import StandingAligner
+from alignment.standing.coarse import UNKNOWN_HEADING_STD
 from alignment.standing.filters import (
     GROUP_FILTERS,
     Filter,
@@ -71,7 +73,7 @@ def told(errors, **settings):
     known = {"gyro_noise_density": max(errors.gyro_noise_density, LEAST), "gyro_bias_std": errors.gyro_bias_std,
              "gyro_bias_instability": errors.gyro_bias_instability,
              "accel_noise_density": max(errors.accel_noise_density, LEAST), "accel_bias_std": errors.accel_bias_std,
-             "accel_bias_instability": errors.accel_bias_instability}
+             "accel_bias_instability": errors.accel_bias_instability, "scale_std": errors.gyro_scale_std}
     return StandingParams(latitude=LATITUDE, latitude_std=0.0, **{**known, **settings})
 
 
@@ -290,25 +292,24 @@ def chain_job(stand, errors, params, seed, period=10.0):
     return run_chain(stand, add_biases_and_noise(stand.imu, errors, np.random.default_rng(seed)), params, period)
 
 
-def parked_job(grade, motion, seeds, duration, heading, disturbance=1.0, rate=50.0):
+def parked_job(grades, motion, seeds, duration, heading, disturbance=1.0, rate=50.0):
     """Return the alignments of several sets of sensors with all errors of a grade in one swaying vehicle.
 
     Returns
     -------
-    list of (ChainRun, (float, float))
-        With the error and spread of riekf6, started with a heading anywhere.
+    dict
+        Grade -> list of (ChainRun, (float, float)), with the error and spread of riekf6, started with a heading
+        anywhere.
     """
     swaying = stand("static", duration, seed=motion, heading=heading, disturbance=disturbance, imu_rate=rate)
-    errors = PARKED_GRADES[grade].errors
-    params = told(errors)
-    found = []
-    for seed in seeds:
+    found = {grade: [] for grade in grades}
+    for grade, seed in itertools.product(grades, seeds):
         rng = np.random.default_rng([seed, motion])
-        imu = apply_imu_errors(swaying.imu, errors, rng).imu
-        blind = run("riekf6", swaying, imu, replace(params, method="riekf6"),
-                    wrong_start(swaying.truth.q_nb_wxyz[0], rng.uniform(-math.pi, math.pi), rng),
-                    math.pi / math.sqrt(3), period=10.0)
-        found.append((run_chain(swaying, imu, params), (blind.error[-1], blind.std[-1])))
+        params = told(PARKED_GRADES[grade].errors)
+        imu = apply_imu_errors(swaying.imu, PARKED_GRADES[grade].errors, rng).imu
+        start = wrong_start(swaying.truth.q_nb_wxyz[0], rng.uniform(-math.pi, math.pi), rng)
+        blind = run("riekf6", swaying, imu, params, start, UNKNOWN_HEADING_STD, period=10.0)
+        found[grade].append((run_chain(swaying, imu, params), (blind.error[-1], blind.std[-1])))
     return found
 
 
