@@ -88,6 +88,7 @@ NIS_SHARE = 0.05  # of a new value in the mean NIS
 AIDING_TIMEOUT = 3.0  # s without position and velocity before the level estimator's tilt is taken
 TILT_PERIOD = 1.0  # s between its tilts
 UNKNOWN_VARIANCE = 1e6
+DOWN, POSITION = 2, 0  # axis, and what of it is measured
 NOTHING, STARTED, LOST, TILT = range(4)  # what change_phase did or asks for
 
 
@@ -211,23 +212,21 @@ def integrate_rates(q, before, now, dt):
 
 
 @njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def kalman_update(P, H, R, y, dx, gate, d):
+def kalman_update(P, H, R, y, dx, gate):
     """Update P in Joseph form and fill dx, unless the innovation fails the gate.
 
     Parameters
     ----------
-    P : (n, n), H : (d or more, n), R : (d or more, d or more), y : (d or more,), dx : (n,)
+    P : (n, n), H : (d or more, n), R : (d or more, d or more), y : (d,), dx : (n,)
     gate : float
         Largest normalised squared innovation.
-    d : int
-        How many components count.
 
     Returns
     -------
     float
         The normalised squared innovation (NIS); above `gate` nothing was changed.
     """
-    n = len(P)
+    n, d = len(P), len(y)
     ph, S, L = np.zeros((n, d)), np.empty((d, d)), np.zeros((d, d))
     for a in range(d):
         for j in range(n):
@@ -276,14 +275,14 @@ def kalman_update(P, H, R, y, dx, gate, d):
         dx[i] = 0.0
         for a in range(d):
             dx[i] += K[i, a] * y[a]
-    _joseph(P, H, R, K, ph, d)
+    _joseph(P, H, R, K, ph)
     return nis
 
 
 @njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _joseph(P, H, R, K, ph, d):
+def _joseph(P, H, R, K, ph):
     """Replace P by (I - K H) P (I - K H)^T + K R K^T."""
-    n = len(P)
+    n, d = K.shape
     for i in range(n):
         for j in range(n):
             for a in range(d):
@@ -363,7 +362,7 @@ def mekf_vector_update(q, bias, P, measured_b, reference_n, R, gate):
         H[0, j] = b[1] * c[j, 2] - b[2] * c[j, 1]
         H[1, j] = b[2] * c[j, 0] - b[0] * c[j, 2]
         H[2, j] = b[0] * c[j, 1] - b[1] * c[j, 0]
-    nis = kalman_update(P, H, R, y, dx, gate, 3)
+    nis = kalman_update(P, H, R, y, dx, gate)
     if nis <= gate:
         _turn_navigation(q, dx[0], dx[1], dx[2])
         for i in range(3):
@@ -397,7 +396,7 @@ def mekf_heading_update(q, bias, P, heading, variance, gate):
     estimate = _heading_row(c, H)
     y[0] = _wrap(heading - estimate) if estimate == estimate else math.nan
     R[0, 0] = variance
-    nis = kalman_update(P, H, R, y, dx, gate, 1)
+    nis = kalman_update(P, H, R, y, dx, gate)
     if nis <= gate:
         _turn_navigation(q, dx[0], dx[1], dx[2])
         for i in range(3):
@@ -415,7 +414,8 @@ def _place(m, earth):
     Without a place the Earth is flat and does not turn. North and east count along the parallel and meridian of
     the origin, so metres of position and metres travelled differ by the ratios of the radii.
     """
-    earth[:] = 0.0
+    for i in range(9):
+        earth[i] = 0.0
     earth[0] = m[P_GRAVITY]
     earth[7], earth[8] = 1.0, 1.0
     if m[M_EARTH] == 0.0:
@@ -467,33 +467,34 @@ def _carry_mean(m, w, f, dt, dcm, gained):
 
 
 @njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _carry_rows(P, by_column, D, u, dt, decay):
-    """Replace P by F P, or by P F^T column by column."""
+def _carry_covariance(P, D, u, dt, decay):
+    """Replace P by F P F^T: F times each column, then each row times F^T."""
     h = 0.5 * dt
-    for k in range(N):
-        A = P[k, :] if by_column else P[:, k]
-        t0, t1, t2 = A[0], A[1], A[2]
-        g0 = D[0, 0] * A[BG] + D[0, 1] * A[BG + 1] + D[0, 2] * A[BG + 2]
-        g1 = D[1, 0] * A[BG] + D[1, 1] * A[BG + 1] + D[1, 2] * A[BG + 2]
-        g2 = D[2, 0] * A[BG] + D[2, 1] * A[BG + 1] + D[2, 2] * A[BG + 2]
-        # theta acts through u = D f: -u x theta, and the gyro bias through theta's mean over dt.
-        m0, m1, m2 = t0 - 0.5 * g0, t1 - 0.5 * g1, t2 - 0.5 * g2
-        d0 = -(u[1] * m2 - u[2] * m1) - (
-            D[0, 0] * A[BA] + D[0, 1] * A[BA + 1] + D[0, 2] * A[BA + 2])
-        d1 = -(u[2] * m0 - u[0] * m2) - (
-            D[1, 0] * A[BA] + D[1, 1] * A[BA + 1] + D[1, 2] * A[BA + 2])
-        d2 = -(u[0] * m1 - u[1] * m0) - (
-            D[2, 0] * A[BA] + D[2, 1] * A[BA + 1] + D[2, 2] * A[BA + 2])
-        A[POS] += dt * A[V] + h * d0
-        A[POS + 1] += dt * A[V + 1] + h * d1
-        A[POS + 2] += dt * A[V + 2] + h * d2
-        A[V] += d0
-        A[V + 1] += d1
-        A[V + 2] += d2
-        A[0], A[1], A[2] = t0 - g0, t1 - g1, t2 - g2
-        A[BA] *= decay
-        A[BA + 1] *= decay
-        A[BA + 2] *= decay
+    for by_column in range(2):
+        for k in range(N):
+            A = P[k] if by_column else P[:, k]
+            t0, t1, t2 = A[0], A[1], A[2]
+            g0 = D[0, 0] * A[BG] + D[0, 1] * A[BG + 1] + D[0, 2] * A[BG + 2]
+            g1 = D[1, 0] * A[BG] + D[1, 1] * A[BG + 1] + D[1, 2] * A[BG + 2]
+            g2 = D[2, 0] * A[BG] + D[2, 1] * A[BG + 1] + D[2, 2] * A[BG + 2]
+            # theta acts through u = D f: -u x theta, and the gyro bias through theta's mean over dt.
+            m0, m1, m2 = t0 - 0.5 * g0, t1 - 0.5 * g1, t2 - 0.5 * g2
+            d0 = -(u[1] * m2 - u[2] * m1) - (
+                D[0, 0] * A[BA] + D[0, 1] * A[BA + 1] + D[0, 2] * A[BA + 2])
+            d1 = -(u[2] * m0 - u[0] * m2) - (
+                D[1, 0] * A[BA] + D[1, 1] * A[BA + 1] + D[1, 2] * A[BA + 2])
+            d2 = -(u[0] * m1 - u[1] * m0) - (
+                D[2, 0] * A[BA] + D[2, 1] * A[BA + 1] + D[2, 2] * A[BA + 2])
+            A[POS] += dt * A[V] + h * d0
+            A[POS + 1] += dt * A[V + 1] + h * d1
+            A[POS + 2] += dt * A[V + 2] + h * d2
+            A[V] += d0
+            A[V + 1] += d1
+            A[V + 2] += d2
+            A[0], A[1], A[2] = t0 - g0, t1 - g1, t2 - g2
+            A[BA] *= decay
+            A[BA + 1] *= decay
+            A[BA + 2] *= decay
 
 
 @njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
@@ -503,8 +504,7 @@ def eskf_predict(m, dt, w, f, gyro_var, accel_var):
     D, u = np.empty((3, 3)), np.empty(3)
     _carry_mean(m, w, f, dt, D, u)
     decay = max(1.0 - dt / m[P_ACCEL_BIAS_TIME], 0.0)
-    _carry_rows(P, False, D, u, dt, decay)
-    _carry_rows(P, True, D, u, dt, decay)
+    _carry_covariance(P, D, u, dt, decay)
     rate2 = w[0] ** 2 + w[1] ** 2 + w[2] ** 2
     acc2 = m[X_ACC] ** 2 + m[X_ACC + 1] ** 2 + m[X_ACC + 2] ** 2
     q_angle = dt * (m[P_GYRO_NOISE] ** 2 + m[P_RATE_ERROR] ** 2 * rate2) + gyro_var
@@ -551,7 +551,9 @@ def measurement_model(m, kind, z, age, H, y):
     fix: NED position of the antenna, m; velocity: of the antenna, NED, m/s; altitude: m, up, of the IMU above
     the altimeter's zero; inclinometer: the down direction in body axes; heading: rad clockwise from north.
     """
-    H[:] = 0.0
+    for i in range(3):
+        for j in range(N):
+            H[i, j] = 0.0
     c, arm, swing = np.empty((3, 3)), np.empty(3), np.empty(3)
     _dcm(m[X_Q:X_V], c)
     if kind == K_FIX or kind == K_VELOCITY:
@@ -635,7 +637,7 @@ def eskf_update(m, kind, z, cov, age):
             else:
                 i = (POS if kind == K_FIX else V) + a
                 P[i, i] += y[a] ** 2
-    nis = kalman_update(P, H, cov, y, dx, gate, d)
+    nis = kalman_update(P, H, cov, y[:d], dx, gate)
     _judge(m, kind, nis, d, gate)
     if nis <= gate:
         _turn_navigation(m[X_Q:X_V], dx[0], dx[1], dx[2])
@@ -699,7 +701,7 @@ def _axis_update(m, i, which, y, variance):
     at = X_AXES_COV + 9 * i
     dx, H, R, innovation = np.zeros(3), np.zeros((1, 3)), np.empty((1, 1)), np.empty(1)
     H[0, which], R[0, 0], innovation[0] = 1.0, variance, y
-    nis = kalman_update(m[at:at + 9].reshape((3, 3)), H, R, innovation, dx, math.inf, 1)
+    nis = kalman_update(m[at:at + 9].reshape((3, 3)), H, R, innovation, dx, math.inf)
     m[X_P + i] += dx[0]
     m[X_V + i] += dx[1]
     m[X_AXES + i] += dx[2]
@@ -719,7 +721,7 @@ def _steady_update(m, i, y, variance):
 
 
 @njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _axis_gate(m, i, which, y, variance):
+def _axis_nis(m, i, which, y, variance):
     """Normalised squared innovation of one axis before its update."""
     at = X_AXES_COV + 9 * i + 4 * which
     return y * y / (m[at] + variance)
@@ -742,13 +744,13 @@ def cascade_update(m, kind, z, cov, age):
         down_n[2] = 1.0
         nis = mekf_vector_update(m[X_Q:X_V], m[X_BG:X_BA], P, z, down_n, cov, gate + 3.0)
     elif kind == K_ALTITUDE:
-        nis = _axis_gate(m, 2, 0, y[0], cov[0, 0])
+        nis = _axis_nis(m, DOWN, POSITION, -y[0], cov[0, 0])
         if nis <= gate:
-            _axis_update(m, 2, 0, -y[0], cov[0, 0])
+            _axis_update(m, DOWN, POSITION, -y[0], cov[0, 0])
     else:
         which = 0 if kind == K_FIX else 1
         for i in range(3):
-            nis += _axis_gate(m, i, which, y[i], cov[i, i])
+            nis += _axis_nis(m, i, which, y[i], cov[i, i])
         for i in range(3 if nis <= gate else 0):
             if m[P_STEADY] == 1.0:
                 if kind == K_FIX:
@@ -784,7 +786,7 @@ def _level_by_velocity(m, P, z, cov, age):
     known = m[X_LAST_VELOCITY + 3] == 1.0
     m[X_LAST_VELOCITY + 3] = 1.0
     if known and 0.02 < span < FRESH:
-        if kalman_update(P, H, R, y, dx, m[P_GATE] + 6.0, 3) <= m[P_GATE] + 6.0:
+        if kalman_update(P, H, R, y, dx, m[P_GATE] + 6.0) <= m[P_GATE] + 6.0:
             _turn_navigation(m[X_Q:X_V], dx[0], dx[1], dx[2])
             for i in range(3):
                 m[X_BG + i] += dx[3 + i]
@@ -796,7 +798,8 @@ def _level_by_velocity(m, P, z, cov, age):
 @njit(cache=True, error_model="numpy")
 def start_blind(m):
     """Know nothing of the heading: cosine and sine zero, their covariance that of every direction."""
-    m[X_BLIND:X_INTERVAL] = 0.0
+    for i in range(X_BLIND, X_INTERVAL):
+        m[i] = 0.0
     P = m[X_BLIND_COV:X_BLIND_ON].reshape((N_BLIND, N_BLIND))
     for i in range(2):
         P[i, i] = BLIND_POSITION_STD**2
@@ -860,9 +863,9 @@ def _blind_update(m, kind, z, cov, age, level_yaw):
             for j in range(2):
                 R[i, j] = cov[i, j]
             R[i, i] += (kind == K_FIX) * _arm2(m)
-    gate = _gate(m, kind, 2)
-    nis = kalman_update(P, H, R, y, dx, gate, 2)
-    _judge(m, kind, nis, 2, gate)
+    gate = _gate(m, kind, len(y))
+    nis = kalman_update(P, H, R, y, dx, gate)
+    _judge(m, kind, nis, len(y), gate)
     if nis <= gate:
         for i in range(N_BLIND):
             x[i] += dx[i]
@@ -904,7 +907,8 @@ def _start_navigating(m, L):
     for i in range(4):
         m[X_Q + i] = L[L_Q + i]
     _turn_navigation(m[X_Q:X_V], 0.0, 0.0, heading)
-    m[X_COV:X_RATE] = 0.0
+    for i in range(X_COV, X_RATE):
+        m[i] = 0.0
     P = m[X_COV:X_RATE].reshape((N, N))
     B = m[X_BLIND_COV:X_BLIND_ON].reshape((N_BLIND, N_BLIND))
     c, s = math.cos(heading), math.sin(heading)
@@ -958,7 +962,8 @@ def _start_cascade(m, P):
             Q[i, j] = P[i if i < 3 else BG + i - 3, j if j < 3 else BG + j - 3]
     for i in range(3):
         at = X_AXES_COV + 9 * i
-        m[at:at + 9] = 0.0
+        for j in range(9):
+            m[at + j] = 0.0
         m[at], m[at + 4] = P[POS + i, POS + i], P[V + i, V + i]
         m[at + 1] = m[at + 3] = P[POS + i, V + i]
         m[at + 8] = 0.0 if m[P_STEADY] == 1.0 else m[P_AXIS_BIAS_STD] ** 2
@@ -996,7 +1001,8 @@ def _track(m, dt, row):
 @njit(cache=True, error_model="numpy")
 def fill_row(m, L, dt, force_known, row):
     """Fill one row of history: the sample of the dt (s) before it and what the level estimator makes of it."""
-    row[:] = 0.0
+    for i in range(H_SIZE):
+        row[i] = 0.0
     row[H_DT] = dt
     for i in range(3):
         row[H_GYRO + i] = L[L_GYRO + i] + L[L_BG + i]
@@ -1080,13 +1086,15 @@ def change_phase(m, L):
 @njit(cache=True, error_model="numpy")
 def write_output(m, L, row, out):
     """Fill one row of output from the state, the level estimator and the last row of history."""
-    out[:] = 0.0
+    for i in range(OUT_SIZE):
+        out[i] = 0.0
     C = out[OUT_COV:OUT_BG_VAR].reshape((9, 9))
     if m[X_PHASE] == 0.0:
         _write_start(m, L, out, C)
         return
     out[OUT_VALID] = out[OUT_HEADING] = out[OUT_NAVIGATING] = 1.0
-    out[OUT_Q:OUT_GYRO] = m[X_Q:X_REF]
+    for i in range(OUT_GYRO - OUT_Q):
+        out[OUT_Q + i] = m[X_Q + i]
     out[OUT_REF] = m[X_REF]
     for i in range(3):
         out[OUT_GYRO + i] = row[H_GYRO + i] - m[X_BG + i]
@@ -1102,7 +1110,9 @@ def write_output(m, L, row, out):
                 C[i, j] = m[X_COV + 6 * i + j]
         return
     P = m[X_COV:X_RATE].reshape((N, N))
-    C[:, :] = P[:9, :9]
+    for i in range(9):
+        for j in range(9):
+            C[i, j] = P[i, j]
     for i in range(3):
         out[OUT_BG_VAR + i], out[OUT_BA_VAR + i] = P[BG + i, BG + i], P[BA + i, BA + i]
 
@@ -1111,16 +1121,15 @@ def write_output(m, L, row, out):
 def _write_start(m, L, out, C):
     """Before it navigates: the level estimator's tilt, the blind start's heading, position and velocity."""
     q = out[OUT_Q:OUT_V]
-    q[:] = L[L_Q:L_TILT]
     out[OUT_VALID] = L[L_VALID]
     variance = blind_heading_variance(m)
     known = variance < UNKNOWN_VARIANCE
     heading = math.atan2(m[X_BLIND + BC + 1], m[X_BLIND + BC]) if known else 0.0
+    q[0] = 1.0
     if L[L_VALID] == 1.0:
+        for i in range(4):
+            q[i] = L[L_Q + i]
         _turn_navigation(q, 0.0, 0.0, heading)
-    else:
-        q[:] = 0.0
-        q[0] = 1.0
     out[OUT_HEADING] = 1.0 if known else 0.0
     c, s = math.cos(heading), math.sin(heading)
     nn, ne, ee = L[L_TILT], L[L_TILT + 1], L[L_TILT + 2]
