@@ -88,20 +88,18 @@ class LinearModel:
 
 @dataclass(frozen=True)
 class KalmanBucy:
-    """A steady continuous Kalman filter ``x' = A x + B u + L (y - C x)``.
+    """A steady continuous Kalman filter ``x' = A x + B u + L (y - C x)``; C picks what is measured.
 
     Attributes
     ----------
     model : LinearModel
         What it believes of the helicopter.
-    C : (m, n)
     gain : (n, m), 1/s
     covariance : (n, n)
         Of the error of the state.
     """
 
     model: LinearModel
-    C: np.ndarray
     gain: np.ndarray
     covariance: np.ndarray
 
@@ -159,14 +157,23 @@ def r50_hover(*, heading_and_height=True):
 
 
 def relative_degrees(model, outputs=OUTPUTS):
-    """Return how often each output must be differentiated until an input appears."""
-    degrees = []
-    for row in model.select(outputs):
-        degree = 1
-        while not np.any(row @ model.B):
-            row, degree = row @ model.A, degree + 1
-        degrees.append(degree)
-    return tuple(degrees)
+    """Return how often each output must be differentiated until an input appears.
+
+    Raises
+    ------
+    ValueError
+        Naming an output that no input reaches.
+    """
+    return tuple(_relative_degree(model, name) for name in outputs)
+
+
+def _relative_degree(model, output):
+    row, = model.select([output])
+    for degree in range(1, len(model.states) + 1):
+        if np.any(row @ model.B):
+            return degree
+        row = row @ model.A
+    raise ValueError(f"no input reaches {output}")
 
 
 def decoupling(model, outputs=OUTPUTS):
@@ -233,12 +240,12 @@ def kalman_bucy(model, outputs, process_density, measurement_density):
     unseen = [value for value in np.linalg.eigvals(A) if value.real > -1e-9
               and np.linalg.matrix_rank(np.vstack([value * np.eye(len(A)) - A, C]), tol=1e-9) < len(A)]
     if unseen:
-        values = ", ".join(f"{value:.2g}" for value in unseen)
+        values = ", ".join(f"{value if value.imag else value.real + 0.0:.2g}" for value in unseen)
         raise UndetectableError(
             f"not detectable: {', '.join(outputs)} do not show {len(unseen)} of the {len(A)} modes, whose eigenvalues "
             f"{values} do not decay; measure them or leave their states out")
     covariance = solve_continuous_are(A.T, C.T, process_density, measurement_density)
-    return KalmanBucy(model, C, np.linalg.solve(measurement_density, C @ covariance).T, covariance)
+    return KalmanBucy(model, np.linalg.solve(measurement_density, C @ covariance).T, covariance)
 
 
 def fly(model, controller, reference, *, duration, interval, rng, kalman=None, measurement_std=(0.0, 0.0, 0.0, 0.0),
@@ -253,6 +260,7 @@ def fly(model, controller, reference, *, duration, interval, rng, kalman=None, m
     reference : (4,) or (N, 4)
         Wanted :data:`OUTPUTS`, rad and m.
     duration, interval : float, s
+        The sticks are held through an interval, short against the filter, whose gain it multiplies.
     rng : numpy.random.Generator
     kalman : KalmanBucy, optional
         Measuring :data:`OUTPUTS`.
@@ -277,17 +285,16 @@ def fly(model, controller, reference, *, duration, interval, rng, kalman=None, m
     count = round(duration / interval)
     reference = np.broadcast_to(reference, (count, len(OUTPUTS)))
     plant = _held(model.A, model.B, interval)
-    observer = None if kalman is None else _held(
-        kalman.model.A - kalman.gain @ kalman.C, np.hstack([kalman.model.B, kalman.gain]), interval)
+    belief = None if kalman is None else _held(kalman.model.A, kalman.model.B, interval)
     gust_root = np.zeros((n, n)) if process_density is None else _root(interval * process_density)
     x, estimate, rows = np.zeros(n), np.zeros(n), []
     for wanted in reference:
         measured = C @ x + measurement_std * rng.standard_normal(len(C))
-        believed = x if observer is None else estimate
-        control = controller.forward @ wanted - controller.feedback @ (believed if in_loop else x)
-        rows.append((x, control, measured, C @ believed))
-        if observer is not None:
-            estimate = observer[0] @ estimate + observer[1] @ np.concatenate([control, measured])
+        estimate = x if kalman is None else estimate + interval * kalman.gain @ (measured - C @ estimate)
+        control = controller.forward @ wanted - controller.feedback @ (estimate if in_loop else x)
+        rows.append((x, control, measured, C @ estimate))
+        if kalman is not None:
+            estimate = belief[0] @ estimate + belief[1] @ control
         x = _nonlinear_step(model, x, control, interval) if nonlinear else plant[0] @ x + plant[1] @ control
         x = x + gust_root @ rng.standard_normal(n)
     run = HelicopterRun(interval * np.arange(count), *(np.array(column) for column in zip(*rows, strict=True)))
