@@ -1,4 +1,4 @@
-"""What a run of sensors leaves behind: IMU samples, altitudes and, where known, the true attitude.
+"""What a run of sensors leaves behind: IMU samples, what aids them and, where known, the true attitude.
 
 A simulator makes a :class:`Recording`, a bag is read into one, and estimators and scores take one,
 so simulated and real data go the same way. Frames and units: see :mod:`inertial`.
@@ -82,11 +82,60 @@ class JointSeries:
 
 
 @dataclass(frozen=True)
+class FixSeries:
+    """Positions from a satellite receiver in the order received.
+
+    Attributes
+    ----------
+    stamp_ns : (M,) int64, when each was valid
+    latitude, longitude : (M,) float64, rad, NaN where the receiver says that it has none
+    height : (M,) float64, m above the ellipsoid
+    covariance_n : (3, 3), m^2
+        Of each, in NED.
+    arrival : (M,) int64, how many IMU samples had been received before each
+    """
+
+    stamp_ns: np.ndarray
+    latitude: np.ndarray
+    longitude: np.ndarray
+    height: np.ndarray
+    covariance_n: np.ndarray
+    arrival: np.ndarray
+
+    def __len__(self):
+        return len(self.stamp_ns)
+
+
+@dataclass(frozen=True)
+class VelocitySeries:
+    """Velocities over ground in the order received.
+
+    Attributes
+    ----------
+    stamp_ns : (M,) int64, when each was valid
+    velocity_n : (M, 3) float64, m/s
+    covariance_n : (3, 3), (m/s)^2
+        Of each.
+    arrival : (M,) int64, how many IMU samples had been received before each
+    """
+
+    stamp_ns: np.ndarray
+    velocity_n: np.ndarray
+    covariance_n: np.ndarray
+    arrival: np.ndarray
+
+    def __len__(self):
+        return len(self.stamp_ns)
+
+
+@dataclass(frozen=True)
 class Recording:
-    """One run: the IMU, and the altimeter, the truth and a turntable's angle where there are any."""
+    """One run: the IMU and, where there are any, its aids, the truth, a turntable's angle."""
 
     name: str
     imu: ImuSeries
     altitude: AltitudeSeries | None = None
     truth: AttitudeSeries | None = None
     joint: JointSeries | None = None
+    fix: FixSeries | None = None
+    velocity: VelocitySeries | None = None

@@ -27,13 +27,29 @@ from inertial.recording import AltitudeSeries, AttitudeSeries, ImuSeries, Record
 from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
 from nav_ros.broken_mcap import read_broken_mcap, zstd
 from nav_ros.frames import q_nb_from_orientation, swap_flu_frd
-from nav_ros.messages import ACCEL, GYRO, IMU, JOINTS, POINT, PRESSURE, QUATERNION, decode_batch
+from nav_ros.messages import (
+    ACCEL,
+    FIX,
+    GYRO,
+    IMU,
+    JOINTS,
+    ODOMETRY,
+    POINT,
+    POSE,
+    PRESSURE,
+    QUATERNION,
+    TWIST,
+    decode_batch,
+)
 
 TOPICS = {"imu": "/imu/data_raw", "altitude": "/altitude", "pressure": "/pressure",
-          "truth": "/ground_truth/attitude", "joints": "/joint_states", "output": "/imu/data"}
+          "truth": "/ground_truth/attitude", "true_odometry": "/ground_truth/odometry",
+          "joints": "/joint_states", "fix": "/fix", "velocity": "/velocity", "inclinometer": "/inclinometer",
+          "heading": "/heading", "output": "/imu/data"}
 """What is on which topic unless told otherwise."""
 
-TYPES = {"imu": IMU, "altitude": POINT, "pressure": PRESSURE, "truth": QUATERNION, "joints": JOINTS,
+TYPES = {"imu": IMU, "altitude": POINT, "pressure": PRESSURE, "truth": QUATERNION, "true_odometry": ODOMETRY,
+         "joints": JOINTS, "fix": FIX, "velocity": TWIST, "inclinometer": QUATERNION, "heading": POSE,
          "output": IMU}
 """The message type of each of :data:`TOPICS`."""
 

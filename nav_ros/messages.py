@@ -6,7 +6,8 @@ adds the child's frame) followed by nothing but doubles, so one checked layout s
 
     00 01 00 00 | sec i32 | nanosec u32 | length u32 | frame_id + NUL | padding to 8 | doubles
 
-A ``sensor_msgs/JointState`` has lists of names and of doubles instead and its own two functions.
+A ``sensor_msgs/JointState`` has lists of names and of doubles instead, a ``sensor_msgs/NavSatFix`` small
+integers between the doubles; each has its own two functions.
 
 Offsets for the padding are counted after the four bytes of encapsulation. Values stay in the frames and
 units of the message (FLU, ENU, SI); :mod:`nav_ros.frames` converts them.
@@ -17,6 +18,7 @@ Sources: OMG DDSI-RTPS 10 (encapsulation), CDR as written by Fast-CDR and rosbag
 import struct
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,8 +33,11 @@ QUATERNION = "geometry_msgs/msg/QuaternionStamped"
 VECTOR = "geometry_msgs/msg/Vector3Stamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
 JOINTS = "sensor_msgs/msg/JointState"
+FIX = "sensor_msgs/msg/NavSatFix"
+TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
-DOUBLES = {IMU: 37, POINT: 3, PRESSURE: 2, QUATERNION: 4, VECTOR: 3, ODOMETRY: 85}
+DOUBLES = {IMU: 37, POINT: 3, PRESSURE: 2, QUATERNION: 4, VECTOR: 3, ODOMETRY: 85, TWIST: 42, POSE: 43}
 """How many doubles follow the header of each message type."""
 
 ORIENTATION = slice(0, 4)
@@ -49,7 +54,16 @@ POSE_COVARIANCE = slice(7, 43)
 TWIST_LINEAR = slice(43, 46)
 TWIST_ANGULAR = slice(46, 49)
 TWIST_COVARIANCE = slice(49, 85)
-"""Where the fields of an Odometry stand among its 85 doubles."""
+"""Where the fields of an Odometry stand among its 85 doubles; a PoseWithCovarianceStamped has the first 43."""
+
+VELOCITY = slice(0, 3)
+VELOCITY_COVARIANCE = slice(6, 42)
+"""Where linear velocity and 6 by 6 covariance stand among the 42 doubles of a TwistWithCovarianceStamped."""
+
+NO_FIX, GPS_FIX = -1, 0
+"""Status of a NavSatFix: from GPS_FIX on there is a position."""
+COVARIANCE_UNKNOWN, COVARIANCE_KNOWN = 0, 3
+"""Type of a NavSatFix's covariance: 0 says nothing, the others that it may be used."""
 
 _LITTLE_ENDIAN = b"\x00\x01"
 _ENCAPSULATION = b"\x00\x01\x00\x00"
@@ -120,6 +134,66 @@ def decode(message_type, raw):
     sec, nanosec, frame = fields[:3]
     stamp_ns = sec * NANOSECONDS + nanosec if sec >= 0 and nanosec < NANOSECONDS else INVALID_STAMP
     return stamp_ns, _frame_text(frame), fields[3:]
+
+
+class Fix(NamedTuple):
+    """What a NavSatFix holds: degrees, metres above the ellipsoid, nine covariances (ENU, m^2) and their type."""
+
+    status: int
+    latitude_deg: float
+    longitude_deg: float
+    height: float
+    covariance: tuple
+    covariance_type: int
+
+
+def decode_fix(raw):
+    """Return the stamp and the content of a serialized sensor_msgs/NavSatFix.
+
+    Parameters
+    ----------
+    raw : bytes
+
+    Returns
+    -------
+    stamp_ns : int
+        :data:`INVALID_STAMP` if the message's stamp is not a time.
+    fix : Fix
+
+    Raises
+    ------
+    MalformedMessageError
+        And nothing else, whatever the bytes.
+    """
+    size = len(raw)
+    if size < _FRAME_START or raw[0:2] != _LITTLE_ENDIAN:
+        raise MalformedMessageError(_encapsulation_fault(raw))
+    (length,) = _unpack_length(raw, 12)
+    layout = _fix_layout(length) if length < size else None
+    if layout is None or size != layout.size:
+        raise MalformedMessageError(f"{size} bytes do not fit a NavSatFix with a frame_id of {length}")
+    sec, nanosec, frame, status, _, latitude, longitude, height, *covariance, kind = layout.unpack(raw)
+    _frame_text(frame)
+    stamp_ns = sec * NANOSECONDS + nanosec if sec >= 0 and nanosec < NANOSECONDS else INVALID_STAMP
+    return stamp_ns, Fix(status, latitude, longitude, height, tuple(covariance), kind)
+
+
+def encode_fix(stamp_ns, frame_id, fix, service=1):
+    """Return a serialized sensor_msgs/NavSatFix.
+
+    Parameters
+    ----------
+    stamp_ns : int
+    frame_id : str
+    fix : Fix
+    service : int
+        Bits of the satellite systems; 1 is GPS.
+    """
+    text = _string(frame_id)[4:]
+    head = _stamp(stamp_ns) + _UINT32.pack(len(text))
+    body = _fix_layout(len(text)).pack(0, 0, text, fix.status, service, fix.latitude_deg, fix.longitude_deg,
+                                       fix.height, *fix.covariance, fix.covariance_type)
+    return head + body[len(head):]
 
 
 def decode_joints(raw):
@@ -212,6 +286,14 @@ def decode_batch(message_type, raws):
 def _layout(length, count):
     padding = -(12 + length) % 8
     return struct.Struct(f"<4xiI4x{length}s{padding}x{count}d")
+
+
+@lru_cache(maxsize=64)
+def _fix_layout(length):
+    """Layout of a NavSatFix: status and service stand behind the frame, the service at an even offset."""
+    after = -(12 + length + 1) % 2
+    end = 12 + length + 1 + after + 2
+    return struct.Struct(f"<4xiI4x{length}sb{after}xH{-end % 8}x12dB")
 
 
 @lru_cache(maxsize=64)

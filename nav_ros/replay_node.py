@@ -25,6 +25,7 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
 from inertial.parameters import check_parameters, parameter
+from inertial.recording import Recording
 from nav_ros.bags import TOPICS, BagError, BagReader
 from nav_ros.messages import IMU, encode_clock
 from nav_ros.parameters import declare_parameters
@@ -368,7 +369,7 @@ def _stamp(raw):
 
 def _shifted(recording, offset_ns):
     """Return a recording with all stamps moved."""
-    series = {name: getattr(recording, name) for name in ("imu", "altitude", "truth", "joint")}
+    series = {field.name: getattr(recording, field.name) for field in dataclasses.fields(Recording)[1:]}
     return dataclasses.replace(recording, **{
         name: dataclasses.replace(each, stamp_ns=each.stamp_ns + offset_ns)
         for name, each in series.items() if each is not None})

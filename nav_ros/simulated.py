@@ -1,5 +1,6 @@
-"""Every scenario by its name: motions with an IMU and an altimeter, turntables and parked vehicles with an IMU."""
+"""Every scenario by its name: motions with an IMU and what aids it, turntables and parked vehicles with an IMU."""
 
+from inertial.flight_scenarios import FLIGHT_SCENARIOS, simulate_flight
 from inertial.parked_scenarios import PARKED_SCENARIOS, simulate_parked
 from inertial.scenarios import SCENARIOS
 from inertial.simulator import simulate
@@ -7,8 +8,9 @@ from inertial.table_scenarios import TABLE_SCENARIOS, simulate_table
 
 _AT_REST = dict.fromkeys(TABLE_SCENARIOS, simulate_table) | dict.fromkeys(PARKED_SCENARIOS, simulate_parked)
 
-DESCRIPTIONS = {name: scenario.description
-                for name, scenario in (SCENARIOS | TABLE_SCENARIOS | PARKED_SCENARIOS).items()}
+DESCRIPTIONS = {
+    name: scenario.description
+    for name, scenario in (SCENARIOS | FLIGHT_SCENARIOS | TABLE_SCENARIOS | PARKED_SCENARIOS).items()}
 """Name -> what it is."""
 
 
@@ -45,5 +47,6 @@ def simulate_scenario(name, *, duration, imu_rate, altimeter_rate, errors="", se
         if errors:
             raise ValueError(f"errors = {errors!r}: {name} has the sensors of its grade, leave it out")
         return _AT_REST[name](name, duration=duration, imu_rate=imu_rate, seed=seed)
-    return simulate(name, duration=duration, imu_rate=imu_rate, altimeter_rate=altimeter_rate,
-                    profile=errors or "consumer", seed=seed, rest=rest)
+    in_motion = simulate_flight if name in FLIGHT_SCENARIOS else simulate
+    return in_motion(name, duration=duration, imu_rate=imu_rate, altimeter_rate=altimeter_rate,
+                     profile=errors or "consumer", seed=seed, rest=rest)

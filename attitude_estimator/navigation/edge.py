@@ -1,0 +1,464 @@
+"""What ``navigation_node`` and ``navigate_bag`` share at the ROS edge: parameters, input, message contents.
+
+:class:`NavigationSession` takes serialized messages, so both do the same with them, good or bad. Fixes,
+velocities and headings count with the covariance of their message; all zero, or a NavSatFix's unknown type, means
+the parameter.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from attitude_estimator.edge import UNKNOWN_VARIANCE
+from attitude_estimator.navigation import _kernels as kernels
+from attitude_estimator.navigation.estimator import Navigation, NavigationEstimator
+from attitude_estimator.navigation.params import NavigationParams
+from inertial.parameters import parameter
+from inertial.rotation import (
+    dcm_from_quaternion,
+    dcm_nb_from_euler,
+    euler_from_dcm,
+    quaternion_conjugate,
+    quaternion_from_dcm,
+    quaternion_multiply,
+    skew,
+)
+from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
+from nav_ros.diagnostics import Level
+from nav_ros.frames import (
+    orientation_from_q_nb,
+    q_nb_from_orientation,
+    swap_enu_ned,
+    swap_enu_ned_covariance,
+    swap_flu_frd,
+    swap_flu_frd_covariance,
+)
+from nav_ros.imu_check import ImuCheck
+from nav_ros.messages import (
+    ACCEL,
+    ACCEL_COVARIANCE,
+    COVARIANCE_UNKNOWN,
+    DOUBLES,
+    GPS_FIX,
+    GYRO,
+    GYRO_COVARIANCE,
+    IMU,
+    ODOMETRY,
+    ORIENTATION,
+    ORIENTATION_COVARIANCE,
+    POINT,
+    POSE,
+    POSE_COVARIANCE,
+    POSE_ORIENTATION,
+    POSE_POSITION,
+    PRESSURE,
+    QUATERNION,
+    TWIST,
+    TWIST_ANGULAR,
+    TWIST_COVARIANCE,
+    TWIST_LINEAR,
+    VECTOR,
+    VELOCITY,
+    VELOCITY_COVARIANCE,
+    MalformedMessageError,
+    StampedEncoder,
+    decode,
+    decode_fix,
+)
+from nav_ros.time_gate import StampCode, TimeGate, TimeGateParams
+
+OUTPUT_TYPES = {"imu/data": IMU, "odometry": ODOMETRY, "imu/gyro_bias": VECTOR, "imu/accel_bias": VECTOR}
+"""What the node publishes, and the offline tool writes."""
+INPUTS = ("altitude", "pressure", "fix", "velocity", "inclinometer", "heading", "imu")
+"""Keys of what comes in; of messages that wait together, the node serves them in this order."""
+COASTING_AFTER = 2.0
+"""Seconds without a used fix or velocity after which the estimate coasts."""
+
+_TWO_ALTIMETERS_NS = 5_000_000_000  # within which both have been heard
+_QUATERNION_TOLERANCE = 0.1  # of its length, which single precision and rounding do not use up
+
+
+@dataclass(frozen=True)
+class NavigationNodeParams(NavigationParams, TimeGateParams):
+    """Parameters of ``navigation_node`` and ``navigate_bag``: of the estimator, the time gate and the edge."""
+
+    altitude_source: str = parameter(
+        "auto", "", "which altimeter to use; auto takes the one that is there",
+        choices=("auto", "altitude", "pressure", "none"), runtime=False)
+    world_frame: str = parameter("map", "", "frame_id of odometry: east, north, up of the first fix", runtime=False)
+    base_frame: str = parameter(
+        "", "", "child_frame_id of odometry: the vehicle, where mounting_rpy turns the IMU's axes; empty: the IMU's "
+        "frame_id", runtime=False)
+    mounting_rpy: tuple = parameter(
+        (0.0, 0.0, 0.0), "rad", "roll, pitch, yaw (REP-103) of the IMU in the vehicle", -2 * np.pi, 2 * np.pi)
+    auxiliary_rate: float = parameter(
+        50.0, "Hz", "highest rate of all output but imu/data; 0: with every sample", 0.0, 1e4)
+
+
+class MeasurementRefusedError(ValueError):
+    """Raised for a message that says nothing; ``fault`` names its counter."""
+
+    def __init__(self, fault, reason, level=Level.WARN):
+        super().__init__(reason)
+        self.fault, self.level = fault, level
+
+
+class NavigationSession:
+    """Serialized messages in, estimates out.
+
+    Parameters
+    ----------
+    params : NavigationNodeParams
+    tell : callable
+        ``tell(fault, text, level)``, called for each message that does not count, or not wholly.
+
+    Attributes
+    ----------
+    estimator : NavigationEstimator
+    gate : nav_ros.time_gate.TimeGate
+        Of the IMU's stamps.
+    check : nav_ros.imu_check.ImuCheck
+    counts : Counter
+        How many messages of each input came.
+    stamp_ns : int
+        Of the last message, 0 where it had none.
+    frame : str or None
+        ``frame_id`` of the IMU.
+    """
+
+    def __init__(self, params, tell):
+        self._tell = tell
+        self.estimator = NavigationEstimator(params)
+        self.gate = TimeGate(params)
+        self.check = ImuCheck()
+        self.counts = Counter()
+        self.stamp_ns, self.frame = 0, None
+        self._altimeters = {"altitude": AltitudeSource(POINT), "pressure": AltitudeSource(PRESSURE)}
+        self._altimeter_ns = {}
+        self._takes = {"imu": self._take_imu, "fix": self._take_fix, "velocity": self._take_velocity,
+                       "inclinometer": self._take_inclinometer, "heading": self._take_heading,
+                       "altitude": lambda raw: self._take_altitude("altitude", POINT, raw),
+                       "pressure": lambda raw: self._take_altitude("pressure", PRESSURE, raw)}
+        self.params = params
+
+    @property
+    def params(self):
+        """NavigationNodeParams in use; setting them keeps the state."""
+        return self._params
+
+    @params.setter
+    def params(self, params):
+        self._params = params
+        self.estimator.params = params
+        self.gate.set_params(params)
+        self.messages = NavigationMessages(params.mounting_rpy)
+        self.check.up_imu = self.messages.up_imu
+
+    def reset(self):
+        """Start anew; the next fix is the origin."""
+        self.estimator.reset()
+
+    def take(self, name, raw):
+        """Take one serialized message.
+
+        Parameters
+        ----------
+        name : str
+            Of :data:`INPUTS`.
+        raw : bytes
+
+        Returns
+        -------
+        bool
+            Whether there is a new estimate.
+        """
+        self.counts[f"{name}_messages"] += 1
+        self.stamp_ns = 0
+        try:
+            return bool(self._takes[name](raw))
+        except MalformedMessageError as error:
+            self._tell("malformed", f"{name}: {error}", Level.WARN)
+        except AltitudeRefusedError as error:
+            self._tell(error.fault, f"{name}: {error}", Level.ERROR)
+        except MeasurementRefusedError as error:
+            self._tell(error.fault, f"{name}: {error}", error.level)
+        except ValueError as error:
+            self._tell(f"{name}_invalid", f"{name}: {error}", Level.ERROR)
+        return False
+
+    # --- the IMU
+
+    def _take_imu(self, raw):
+        stamp_ns, frame, values = decode(IMU, raw)
+        code = self.gate.check(stamp_ns)
+        if code == StampCode.JUMP_BACK:
+            self._tell("started_anew", "stamps went back (a bag's loop, a clock set?): starts anew", Level.WARN)
+            self.reset()
+        elif code == StampCode.NO_STAMP:
+            raise MeasurementRefusedError("imu_no_stamp", "no valid stamp, and no fixed_dt to stand in", Level.ERROR)
+        if code >= StampCode.DUPLICATE:
+            return False
+        self.stamp_ns = self.gate.stamp_ns
+        self._look_at_frame(frame)
+        self.check.add(self.stamp_ns, values[GYRO], values[ACCEL])
+        return self.estimator.add_imu(self.stamp_ns, swap_flu_frd(values[GYRO]), swap_flu_frd(values[ACCEL]))
+
+    def _look_at_frame(self, frame):
+        if frame == self.frame:
+            return
+        if not frame:
+            self._tell("frame_id_empty", "imu: frame_id is empty, so nobody knows whose axes these are", Level.ERROR)
+        if self.frame is not None:
+            self._tell("frame_id_changed", f"imu: frame_id was {self.frame!r} and is {frame!r}: two IMUs on one "
+                       "topic?", Level.ERROR)
+        self.frame = frame
+
+    # --- what aids it
+
+    def _begin(self, name, stamp_ns):
+        """Insist on the stamp of an aid."""
+        if stamp_ns <= 0:
+            raise MeasurementRefusedError(f"{name}_no_stamp", "no valid stamp", Level.ERROR)
+        self.stamp_ns = stamp_ns
+
+    def _take_altitude(self, name, message_type, raw):
+        stamp_ns, _, values = decode(message_type, raw)
+        self._begin("altitude", stamp_ns)
+        altitude, variance = self._altimeters[name].convert(values)
+        self._altimeter_ns[name] = stamp_ns
+        stamps = self._altimeter_ns.values()
+        if len(stamps) == 2 and max(stamps) - min(stamps) < _TWO_ALTIMETERS_NS:
+            raise MeasurementRefusedError("two_altimeters", "altitude and pressure are both there: choose one by "
+                                          "altitude_source; neither is used", Level.ERROR)
+        self.estimator.add_altitude(stamp_ns, altitude, variance)
+
+    def _take_fix(self, raw):
+        stamp_ns, fix = decode_fix(raw)
+        self._begin("fix", stamp_ns)
+        if fix.status < GPS_FIX:
+            raise MeasurementRefusedError("no_fix", "the receiver has no position")
+        covariance_n = None
+        if fix.covariance_type != COVARIANCE_UNKNOWN:
+            covariance_n = self._covariance_n("fix", np.reshape(fix.covariance, (3, 3)))
+        self.estimator.add_fix(stamp_ns, np.radians(fix.latitude_deg), np.radians(fix.longitude_deg), fix.height,
+                               covariance_n)
+
+    def _take_velocity(self, raw):
+        stamp_ns, _, values = decode(TWIST, raw)
+        self._begin("velocity", stamp_ns)
+        covariance = np.reshape(values[VELOCITY_COVARIANCE], (6, 6))[:3, :3]
+        self.estimator.add_velocity(stamp_ns, swap_enu_ned(values[VELOCITY]),
+                                    self._covariance_n("velocity", covariance))
+
+    def _take_inclinometer(self, raw):
+        stamp_ns, _, values = decode(QUATERNION, raw)
+        self._begin("inclinometer", stamp_ns)
+        self.estimator.add_inclinometer(stamp_ns, self.messages.down_imu(values))
+
+    def _take_heading(self, raw):
+        stamp_ns, _, values = decode(POSE, raw)
+        self._begin("heading", stamp_ns)
+        variance = values[POSE_COVARIANCE.stop - 1]
+        if not 0.0 <= variance < np.inf:
+            self._covariance_invalid("heading")
+            variance = 0.0
+        heading = self.messages.heading_imu(values[POSE_ORIENTATION], self.estimator.estimate)
+        self.estimator.add_heading(stamp_ns, heading, variance)
+
+    def _covariance_n(self, name, covariance):
+        """Return a message's ENU covariance in NED, None where it is unknown (all zero) or none."""
+        if not covariance.any():
+            return None
+        size = np.abs(covariance).max()
+        if not (np.isfinite(size) and np.abs(covariance - covariance.T).max() <= 1e-6 * size
+                and np.linalg.eigvalsh(covariance)[0] > 0.0):
+            self._covariance_invalid(name)
+            return None
+        return swap_enu_ned_covariance(covariance)
+
+    def _covariance_invalid(self, name):
+        self._tell("covariance_invalid", f"{name}: a covariance is negative, asymmetric or not finite and does not "
+                   "count", Level.WARN)
+
+    # --- what it says of itself
+
+    @property
+    def faults(self):
+        """Name -> count of what was refused or bridged further in: by the gate, the IMU's checks, the aids'."""
+        gate = {code.name.lower(): self.gate.counts[code] for code in StampCode
+                if code not in (StampCode.STEP, StampCode.FIRST, StampCode.NO_STAMP)}
+        level = {name: count for name, count in vars(self.estimator.level_faults).items() if name not in gate}
+        refused = {f"{name}_refused": health.refused for name, health in self.estimator.health.items()}
+        return gate | level | self.estimator.faults | refused
+
+    @property
+    def since_aided(self):
+        """Seconds since the last fix or velocity that was used, infinite before the first."""
+        health = self.estimator.health
+        return min(health["fix"].age, health["velocity"].age)
+
+    def spread(self):
+        """Return name -> standard deviation of what is known, degrees and m; the tilt as one number."""
+        estimate = self.estimator.estimate
+        variances = np.diagonal(estimate.covariance)
+        spread = {"tilt_sigma_deg": np.degrees(np.sqrt(variances[:2].sum())) if estimate.valid else np.nan,
+                  "heading_sigma_deg": np.degrees(np.sqrt(variances[2])) if estimate.heading_known else np.nan}
+        for name, some in (("velocity_sigma_m_s", variances[3:5]), ("horizontal_sigma_m", variances[6:8]),
+                           ("height_sigma_m", variances[8:])):
+            spread[name] = np.sqrt(some.sum()) if some.sum() < UNKNOWN_VARIANCE else np.nan
+        return {name: float(value) for name, value in spread.items()}
+
+    @property
+    def phase(self):
+        """``start``, ``navigating`` or ``coasting for N s``."""
+        if not self.estimator.estimate.navigating:
+            return "start"
+        since = self.since_aided
+        return f"coasting for {since:.1f} s" if since > COASTING_AFTER else "navigating"
+
+
+class NavigationMessages:
+    """Contents of the messages that are made of an estimate, and the vehicle's axes for what comes in.
+
+    Parameters
+    ----------
+    mounting_rpy : (3,), rad
+        Of the IMU in the vehicle, FLU.
+    """
+
+    def __init__(self, mounting_rpy):
+        roll, pitch, yaw = mounting_rpy
+        # FLU roll, pitch, yaw are those of FRD with pitch and yaw reversed.
+        self._dcm_base_imu = dcm_nb_from_euler(roll, -pitch, -yaw)
+        self._q_imu_base = quaternion_conjugate(quaternion_from_dcm(self._dcm_base_imu))
+        basis = Navigation(None, np.eye(kernels.OUT_SIZE))
+        # The values of an Imu are linear in the row of an estimate.
+        self._imu_matrix = self._imu(basis)
+
+    @property
+    def up_imu(self):
+        """The vehicle's up direction in the IMU's axes, FLU, (3,)."""
+        return swap_flu_frd(-self._dcm_base_imu[2]).tolist()
+
+    def down_imu(self, orientation_xyzw):
+        """Return down in the IMU's axes, FRD, of a vehicle with that orientation."""
+        return _dcm_nb(orientation_xyzw)[2] @ self._dcm_base_imu
+
+    def heading_imu(self, orientation_xyzw, estimate):
+        """Return the heading of the IMU, rad clockwise from north, where the vehicle's is that of an orientation."""
+        *_, heading = euler_from_dcm(_dcm_nb(orientation_xyzw))
+        # A turn about the vertical changes both headings alike.
+        *_, imu = euler_from_dcm(dcm_from_quaternion(estimate.q_nb_wxyz))
+        *_, base = euler_from_dcm(dcm_from_quaternion(self._q_nb_base(estimate)))
+        return heading + imu - base
+
+    def values(self, topic, estimate):
+        """Return the doubles of the message on a topic of :data:`OUTPUT_TYPES`."""
+        if topic == "imu/data":
+            values = estimate.rows @ self._imu_matrix
+            if not estimate.valid:
+                values[ORIENTATION] = [0.0, 0.0, 0.0, 1.0]
+                values[ORIENTATION_COVARIANCE] = [-1.0] + [0.0] * 8
+            return values
+        if topic == "odometry":
+            return self._odometry(estimate)
+        return swap_flu_frd(estimate.gyro_bias_b if topic == "imu/gyro_bias" else estimate.accel_bias_b)
+
+    def _q_nb_base(self, estimates):
+        return quaternion_multiply(estimates.q_nb_wxyz, self._q_imu_base)
+
+    def _imu(self, estimates):
+        values = np.zeros((len(estimates), DOUBLES[IMU]))
+        values[:, ORIENTATION] = orientation_from_q_nb(self._q_nb_base(estimates))
+        values[:, ORIENTATION_COVARIANCE] = swap_enu_ned_covariance(
+            estimates.covariance[:, :3, :3]).reshape(-1, 9)
+        values[:, GYRO] = self._base(estimates.gyro_b)
+        values[:, GYRO_COVARIANCE] = self._base_covariance(estimates.gyro_bias_variance).reshape(-1, 9)
+        values[:, ACCEL] = self._base(estimates.accel_b)
+        values[:, ACCEL_COVARIANCE] = self._base_covariance(estimates.accel_bias_variance).reshape(-1, 9)
+        return values
+
+    def _base(self, vector_imu):
+        """Return a vector in the IMU's axes, FRD, in the vehicle's, FLU."""
+        return swap_flu_frd(vector_imu @ self._dcm_base_imu.T)
+
+    def _base_covariance(self, variance_imu):
+        dcm = self._dcm_base_imu
+        return swap_flu_frd_covariance(np.einsum("ij,...j,kj->...ik", dcm, variance_imu, dcm))
+
+    def _odometry(self, estimate):
+        """Pose in the world's axes, twist in the vehicle's."""
+        values = np.zeros(DOUBLES[ODOMETRY])
+        q_nb, velocity_n = self._q_nb_base(estimate), estimate.velocity_n
+        dcm_nb = dcm_from_quaternion(q_nb)
+        values[POSE_POSITION] = swap_enu_ned(estimate.position_n)
+        values[POSE_ORIENTATION] = orientation_from_q_nb(q_nb)
+        values[TWIST_LINEAR] = swap_flu_frd(velocity_n @ dcm_nb)
+        values[TWIST_ANGULAR] = self._base(estimate.gyro_b)
+        values[POSE_COVARIANCE] = _pose_covariance(estimate.covariance).ravel()
+        twist = np.diag(np.full(6, UNKNOWN_VARIANCE))
+        if estimate.heading_known:
+            # v_b = C^T v; with C = (I + [theta x]) C_estimated its error is C^T (dv + v x theta).
+            J = dcm_nb.T @ np.hstack([skew(velocity_n), np.eye(3)])
+            twist[:3, :3] = _known(swap_flu_frd_covariance(J @ estimate.covariance[:6, :6] @ J.T))
+        twist[3:, 3:] = self._base_covariance(estimate.gyro_bias_variance)
+        values[TWIST_COVARIANCE] = twist.ravel()
+        return values
+
+
+def _dcm_nb(orientation_xyzw):
+    length = np.linalg.norm(orientation_xyzw)
+    if not abs(length - 1.0) < _QUATERNION_TOLERANCE:
+        raise ValueError(f"a quaternion of length {length:g} is no orientation")
+    return dcm_from_quaternion(q_nb_from_orientation(orientation_xyzw) / length)
+
+
+def _pose_covariance(covariance_n):
+    """Return the (6, 6) of east, north, up and the rotation about them from that of attitude, velocity, position."""
+    order = np.r_[6:9, 0:3]
+    blocks = covariance_n[np.ix_(order, order)].reshape(2, 3, 2, 3).swapaxes(1, 2)
+    return _known(swap_enu_ned_covariance(blocks).swapaxes(1, 2).reshape(6, 6))
+
+
+def _known(covariance):
+    """Return a covariance in which what is as good as unknown is UNKNOWN_VARIANCE, correlated with nothing."""
+    unknown = np.diagonal(covariance) >= UNKNOWN_VARIANCE
+    if unknown.any():
+        covariance[unknown, :] = covariance[:, unknown] = 0.0
+        covariance[unknown, unknown] = UNKNOWN_VARIANCE
+    return covariance
+
+
+class NavigationOutput:
+    """Estimates serialized, at their rates.
+
+    Parameters
+    ----------
+    session : NavigationSession
+    """
+
+    def __init__(self, session):
+        self._session = session
+        self._frame, self._encoders, self._slot = None, {}, None
+
+    def messages(self, wanted=OUTPUT_TYPES):
+        """Yield (topic, serialized message) of the newest estimate, of the topics that are wanted."""
+        session = self._session
+        estimate, params = session.estimator.estimate, session.params
+        if session.frame != self._frame:
+            self._set_frame(session.frame)
+        rate = params.auxiliary_rate
+        slot = estimate.stamp_ns if rate == 0.0 else estimate.stamp_ns // round(1e9 / rate)
+        auxiliary, self._slot = slot != self._slot, slot
+        for topic in OUTPUT_TYPES:
+            if topic == "imu/data" or (auxiliary and topic in wanted and (topic != "odometry" or estimate.valid)):
+                values = session.messages.values(topic, estimate)
+                yield topic, self._encoders[topic].encode(estimate.stamp_ns, values)
+
+    def _set_frame(self, imu_frame):
+        self._frame, params = imu_frame, self._session.params
+        base = params.base_frame or imu_frame
+        frames = {"imu/data": (base,), "odometry": (params.world_frame, base)}
+        self._encoders = {topic: StampedEncoder(message_type, *frames.get(topic, (imu_frame,)))
+                          for topic, message_type in OUTPUT_TYPES.items()}
