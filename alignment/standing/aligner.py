@@ -343,6 +343,7 @@ class StandingAligner:
         if self._filter.in_steps:
             self._repeat_at = 2 * len(self._steps)
             self._run_again(coarse.start_q_nb_wxyz)
+        self._still_time = 0.0
 
     def _make_filter(self, coarse):
         if self._name in ("riekf12", "mekf", "riekf6"):
@@ -441,7 +442,7 @@ class StandingAligner:
     # --- result -------------------------------------------------------------------------------------
 
     def _make_result(self):
-        if self._result_stamp is None:
+        if self._result_stamp is None or (self._filter is None and self._sums[kernels.O_TIME] == 0.0):
             return None
         row = np.full(kernels.OUT_SIZE, np.nan)
         row[kernels.OUT_V:kernels.OUT_BG_VAR] = 0.0
