@@ -282,7 +282,7 @@ def coning_section(plots):
         good = drift <= limit and abs(order - expected) <= ORDER_TOLERANCE and force <= sculling_limit
         rows.append((scheme, f"{drift:.2g}", _limit(limit), f"{order:.2f}",
                      f"{ORDERS[scheme]} +- {ORDER_TOLERANCE}" if scheme in ORDERS else "", f"{force:.2g}",
-                     _limit(sculling_limit), _word(good)))
+                     _limit(sculling_limit), _word(good) if scheme in CONING_LIMITS else ""))
     draw_coning(plots / "coning.png")
     plain_drift, plain_force = uncorrected()
     return ["## Coning and sculling", "",
@@ -312,6 +312,8 @@ def draw_coning(path):
     frequencies = np.geomspace(4, 40, 12)
     for scheme in SCHEMES:
         axes.loglog(frequencies, [coning_drift(scheme, f, duration=2.0) for f in frequencies], label=scheme)
+    axes.set_xticks([4, 10, 20, 40], ["4", "10", "20", "40"])
+    axes.set_xticks([], minor=True)
     axes.set_xlabel("frequency, Hz (major interval 10 ms)")
     axes.set_ylabel("drift at 0.1 deg half-angle, deg/h")
     axes.grid(True, which="both", alpha=0.3)
