@@ -24,7 +24,8 @@ setup(
     license="Apache-2.0",
     maintainer="attitude_alignment maintainers",
     maintainer_email="maintainers@attitude-alignment.example",
-    packages=["inertial", "attitude_estimator", "alignment", "alignment.standing", "nav_ros", "studies"],
+    packages=["inertial", "attitude_estimator", "attitude_estimator.navigation", "alignment", "alignment.standing",
+              "nav_ros", "studies"],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (SHARE, ["package.xml"]),
@@ -64,9 +65,11 @@ setup(
         "console_scripts": [
             "attitude_node = attitude_estimator.node:main",
             "alignment_node = alignment.node:main",
+            "navigation_node = attitude_estimator.navigation.node:main",
             "replay_node = nav_ros.replay_node:main",
             "estimate_bag = attitude_estimator.cli:main",
             "align_bag = alignment.cli:main",
+            "navigate_bag = attitude_estimator.navigation.cli:main",
             "simulate_bag = nav_ros.cli:simulate_bag_main",
             "score_bag = nav_ros.cli:score_bag_main",
             "allan = nav_ros.allan_cli:main",

@@ -170,9 +170,10 @@ def decode_fix(raw):
         raise MalformedMessageError(_encapsulation_fault(raw))
     (length,) = _unpack_length(raw, 12)
     layout = _fix_layout(length) if length < size else None
-    if layout is None or size != layout.size:
+    # What comes over DDS is padded to a multiple of four bytes.
+    if layout is None or not layout.size <= size < layout.size + 4:
         raise MalformedMessageError(f"{size} bytes do not fit a NavSatFix with a frame_id of {length}")
-    sec, nanosec, frame, status, _, latitude, longitude, height, *covariance, kind = layout.unpack(raw)
+    sec, nanosec, frame, status, _, latitude, longitude, height, *covariance, kind = layout.unpack_from(raw)
     _frame_text(frame)
     stamp_ns = sec * NANOSECONDS + nanosec if sec >= 0 and nanosec < NANOSECONDS else INVALID_STAMP
     return stamp_ns, Fix(status, latitude, longitude, height, tuple(covariance), kind)

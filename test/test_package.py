@@ -13,12 +13,13 @@ import pytest
 
 from alignment.edge import AlignmentNodeParams
 from attitude_estimator.edge import AttitudeNodeParams
+from attitude_estimator.navigation.edge import NavigationNodeParams
 from nav_ros import resources
 from nav_ros.bags import read_recording
 from nav_ros.parameters import load_parameter_file, parameter_names, params_from_values
 
 PACKAGE = "attitude_alignment"
-NODES = ("attitude_node", "alignment_node", "replay_node")  # ROS programs have no --help
+NODES = ("attitude_node", "alignment_node", "navigation_node", "replay_node")  # ROS programs have no --help
 BAGS_LIMIT = 10e6  # bytes, so that a clone stays small
 HELP_TIMEOUT = 60.0  # s, generous: only a program that hangs is late
 # Not to be published: where a developer works, and what is not done.
@@ -77,7 +78,7 @@ def test_manifest_names_every_ros_package_that_is_imported(repository, manifest)
     declared = {element.text for element in manifest if element.tag.endswith("depend")}
     folders = ("attitude_estimator", "alignment", "nav_ros", "studies")
     sources = [path.read_text(encoding="utf-8") for folder in folders
-               for path in (repository / folder).glob("*.py")]
+               for path in (repository / folder).rglob("*.py")]
     pattern = re.compile(r"^\s*(?:from|import) (\w+_msgs|\w+_srvs|rclpy|tf2_ros)\b", re.M)
     imported = {name for source in sources for name in pattern.findall(source)}
     assert "sensor_msgs" in imported
@@ -101,8 +102,8 @@ def test_executable_answers(name, tmp_path):
 
 
 def test_there_are_executables():
-    assert {"attitude_node", "alignment_node", "replay_node", "estimate_bag", "align_bag", "simulate_bag",
-            "score_bag", "attitude_demo"} <= set(own_executables())
+    assert {"attitude_node", "alignment_node", "navigation_node", "replay_node", "estimate_bag", "align_bag",
+            "navigate_bag", "simulate_bag", "score_bag", "attitude_demo"} <= set(own_executables())
 
 
 def test_bundled_bags(repository):
@@ -126,7 +127,8 @@ def test_make_bags_gives_the_same_bytes(repository, tmp_path, name):
 
 
 @pytest.mark.parametrize("name, node, kind", [("attitude.yaml", "attitude_node", AttitudeNodeParams),
-                                              ("alignment.yaml", "alignment_node", AlignmentNodeParams)])
+                                              ("alignment.yaml", "alignment_node", AlignmentNodeParams),
+                                              ("navigation.yaml", "navigation_node", NavigationNodeParams)])
 def test_parameter_file_has_the_defaults(name, node, kind):
     values = load_parameter_file(resources.bundled_config(name), node, parameter_names(kind))
     assert "accel_bias_std" in values

@@ -333,8 +333,10 @@ class NavigationMessages:
         self._dcm_base_imu = dcm_nb_from_euler(roll, -pitch, -yaw)
         self._q_imu_base = quaternion_conjugate(quaternion_from_dcm(self._dcm_base_imu))
         basis = Navigation(None, np.eye(kernels.OUT_SIZE))
-        # The values of an Imu are linear in the row of an estimate.
-        self._imu_matrix = self._imu(basis)
+        # Most values are linear in the row of an estimate.
+        self._matrix = {"imu/data": self._imu(basis), "odometry": self._pose_and_turn(basis),
+                        "imu/gyro_bias": swap_flu_frd(basis.gyro_bias_b),
+                        "imu/accel_bias": swap_flu_frd(basis.accel_bias_b)}
 
     @property
     def up_imu(self):
@@ -355,15 +357,15 @@ class NavigationMessages:
 
     def values(self, topic, estimate):
         """Return the doubles of the message on a topic of :data:`OUTPUT_TYPES`."""
-        if topic == "imu/data":
-            values = estimate.rows @ self._imu_matrix
-            if not estimate.valid:
-                values[ORIENTATION] = [0.0, 0.0, 0.0, 1.0]
-                values[ORIENTATION_COVARIANCE] = [-1.0] + [0.0] * 8
-            return values
-        if topic == "odometry":
-            return self._odometry(estimate)
-        return swap_flu_frd(estimate.gyro_bias_b if topic == "imu/gyro_bias" else estimate.accel_bias_b)
+        values = estimate.rows @ self._matrix[topic]
+        if topic == "imu/data" and not estimate.valid:
+            values[ORIENTATION] = [0.0, 0.0, 0.0, 1.0]
+            values[ORIENTATION_COVARIANCE] = [-1.0] + [0.0] * 8
+        elif topic == "odometry":
+            self._add_velocity(values, estimate)
+            for covariance in (values[POSE_COVARIANCE], values[TWIST_COVARIANCE]):
+                _cap(covariance.reshape(6, 6))
+        return values
 
     def _q_nb_base(self, estimates):
         return quaternion_multiply(estimates.q_nb_wxyz, self._q_imu_base)
@@ -387,24 +389,27 @@ class NavigationMessages:
         dcm = self._dcm_base_imu
         return swap_flu_frd_covariance(np.einsum("ij,...j,kj->...ik", dcm, variance_imu, dcm))
 
-    def _odometry(self, estimate):
-        """Pose in the world's axes, twist in the vehicle's."""
-        values = np.zeros(DOUBLES[ODOMETRY])
-        q_nb, velocity_n = self._q_nb_base(estimate), estimate.velocity_n
-        dcm_nb = dcm_from_quaternion(q_nb)
-        values[POSE_POSITION] = swap_enu_ned(estimate.position_n)
-        values[POSE_ORIENTATION] = orientation_from_q_nb(q_nb)
+    def _pose_and_turn(self, estimates):
+        """Pose in the world's axes and rate in the vehicle's: what is linear of an Odometry."""
+        values = np.zeros((len(estimates), DOUBLES[ODOMETRY]))
+        values[:, POSE_POSITION] = swap_enu_ned(estimates.position_n)
+        values[:, POSE_ORIENTATION] = orientation_from_q_nb(self._q_nb_base(estimates))
+        values[:, POSE_COVARIANCE] = _pose_covariance(estimates.covariance).reshape(-1, 36)
+        values[:, TWIST_ANGULAR] = self._base(estimates.gyro_b)
+        values[:, TWIST_COVARIANCE].reshape(-1, 6, 6)[:, 3:, 3:] = self._base_covariance(
+            estimates.gyro_bias_variance)
+        return values
+
+    def _add_velocity(self, values, estimate):
+        """Add the velocity in the vehicle's axes and its covariance to the values of an Odometry."""
+        velocity_n, dcm_nb = estimate.velocity_n, dcm_from_quaternion(self._q_nb_base(estimate))
         values[TWIST_LINEAR] = swap_flu_frd(velocity_n @ dcm_nb)
-        values[TWIST_ANGULAR] = self._base(estimate.gyro_b)
-        values[POSE_COVARIANCE] = _pose_covariance(estimate.covariance).ravel()
-        twist = np.diag(np.full(6, UNKNOWN_VARIANCE))
+        covariance = np.diag(np.full(3, UNKNOWN_VARIANCE))
         if estimate.heading_known:
             # v_b = C^T v; with C = (I + [theta x]) C_estimated its error is C^T (dv + v x theta).
             J = dcm_nb.T @ np.hstack([skew(velocity_n), np.eye(3)])
-            twist[:3, :3] = _known(swap_flu_frd_covariance(J @ estimate.covariance[:6, :6] @ J.T))
-        twist[3:, 3:] = self._base_covariance(estimate.gyro_bias_variance)
-        values[TWIST_COVARIANCE] = twist.ravel()
-        return values
+            covariance = swap_flu_frd_covariance(J @ estimate.covariance[:6, :6] @ J.T)
+        values[TWIST_COVARIANCE].reshape(6, 6)[:3, :3] = covariance
 
 
 def _dcm_nb(orientation_xyzw):
@@ -415,19 +420,18 @@ def _dcm_nb(orientation_xyzw):
 
 
 def _pose_covariance(covariance_n):
-    """Return the (6, 6) of east, north, up and the rotation about them from that of attitude, velocity, position."""
+    """Return the (..., 6, 6) of position and rotation in ENU from the (..., 9, 9) of attitude, velocity, position."""
     order = np.r_[6:9, 0:3]
-    blocks = covariance_n[np.ix_(order, order)].reshape(2, 3, 2, 3).swapaxes(1, 2)
-    return _known(swap_enu_ned_covariance(blocks).swapaxes(1, 2).reshape(6, 6))
+    blocks = covariance_n[..., order, :][..., order].reshape(-1, 2, 3, 2, 3).swapaxes(2, 3)
+    return swap_enu_ned_covariance(blocks).swapaxes(2, 3).reshape(-1, 6, 6)
 
 
-def _known(covariance):
-    """Return a covariance in which what is as good as unknown is UNKNOWN_VARIANCE, correlated with nothing."""
+def _cap(covariance):
+    """Give what is as good as unknown UNKNOWN_VARIANCE and no correlation, in place."""
     unknown = np.diagonal(covariance) >= UNKNOWN_VARIANCE
     if unknown.any():
         covariance[unknown, :] = covariance[:, unknown] = 0.0
         covariance[unknown, unknown] = UNKNOWN_VARIANCE
-    return covariance
 
 
 class NavigationOutput:

@@ -50,11 +50,11 @@ class NavigationNode(SensorNode):
         super().__init__("navigation_node", NavigationNodeParams)
         self.prepare(self._warm_up)
         self._session = NavigationSession(self.params, self.fault)
-        self._output = NavigationOutput(self._session)
+        self._answers = NavigationOutput(self._session)
         self._meters = {name: StreamMeter() for name in INPUTS}
         self._subscribers, self._watches, self._silent, self._origin = (), 0, False, None
         on_change(self, self.params, self._apply)
-        self._publishers = {topic: self.advertise(kind, topic) for topic, kind in OUTPUT_TYPES.items()}
+        self._outputs = {topic: self.advertise(kind, topic) for topic, kind in OUTPUT_TYPES.items()}
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_timer(WATCH_PERIOD, self._watch)
         for name in INPUTS:
@@ -75,8 +75,8 @@ class NavigationNode(SensorNode):
             if self._session.stamp_ns:
                 self._meters[name].add(self._session.stamp_ns, arrival_ns)
             if fresh:
-                for topic, serialized in self._output.messages(self._subscribers):
-                    self._publishers[topic].publish(serialized)
+                for topic, serialized in self._answers.messages(self._subscribers):
+                    self._outputs[topic].publish(serialized)
         return take
 
     def _apply(self, params):
@@ -92,7 +92,7 @@ class NavigationNode(SensorNode):
     def _watch(self):
         """Report once a second, and at once when the IMU falls silent or comes back."""
         now_ns = self.now_ns()
-        self._subscribers = {topic for topic, publisher in self._publishers.items()
+        self._subscribers = {topic for topic, publisher in self._outputs.items()
                              if publisher.get_subscription_count()}
         self._tell_origin()
         silent = self._silence("imu", now_ns, SILENCE) > 0.0
@@ -163,23 +163,18 @@ class NavigationNode(SensorNode):
             report.fault(Level.WARN, clock)
 
     def _report_aids(self, report, now_ns):
-        """Rate, NIS and age of each aid that is there; one that has stopped is a warning."""
+        """NIS and age of each aid that there has been, its rate; a topic that has stopped is a warning."""
         for name, health in self._session.estimator.health.items():
-            meters = [self._meters[key] for key in self._keys(name)]
-            rates = [meter.stamp_rate for meter in meters if not math.isnan(meter.stamp_rate)]
-            if not rates and not health.used + health.refused:
-                continue
-            report.value(f"{name}_rate_hz", rates[0] if rates else math.nan)
-            report.value(f"{name}_nis", health.nis)
-            report.value(f"{name}_used", health.used)
-            report.value(f"{name}_age_s", health.age if math.isfinite(health.age) else math.nan)
-            silences = [self._silence(key, now_ns, AID_SILENCE) for key in self._keys(name) if rates]
-            if any(silences):
-                report.fault(Level.WARN, f"{name} stopped {max(silences):.1f} s ago")
-
-    @staticmethod
-    def _keys(name):
-        return ("altitude", "pressure") if name == "altitude" else (name,)
+            if health.used + health.refused:
+                report.value(f"{name}_nis", health.nis)
+                report.value(f"{name}_used", health.used)
+                report.value(f"{name}_age_s", health.age if math.isfinite(health.age) else math.nan)
+        for name in INPUTS[:-1]:
+            if self._session.counts[f"{name}_messages"]:
+                report.value(f"{name}_rate_hz", self._meters[name].stamp_rate)
+                silence = self._silence(name, now_ns, AID_SILENCE)
+                if silence:
+                    report.fault(Level.WARN, f"{name} stopped {silence:.1f} s ago")
 
 
 def main():
