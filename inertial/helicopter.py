@@ -5,9 +5,10 @@ first-order rotor flapping ``a`` (longitudinal) and ``b`` (lateral), stabiliser 
 gyro's filter ``rfb``; here with heading and height it has 15 states. Inputs are stick deflections from -1 to 1, zero
 in trim. The report counts in feet; everything told by this module is in SI.
 
-The controller is paper 001's, input-output linearisation: roll and pitch are differentiated three times, heading and
+Controller and filter are of a paper in Persian on estimating a helicopter's state with two Kalman filters, "the paper"
+below. The controller is input-output linearisation: roll and pitch are differentiated three times, heading and
 height twice, until the inputs appear, which are then solved for. What remains inside, the zero dynamics, must be
-stable and is (:func:`zero_dynamics`). The filter is its equations 23 to 31.
+stable and is (:func:`zero_dynamics`). The filter is equations 23 to 31.
 
 **All of it is linear, about hover.** Beyond about 10 deg of roll or pitch the filter is told wrong things by its
 model; :func:`fly` warns.
@@ -217,7 +218,7 @@ def zero_dynamics(model):
 
 
 def kalman_bucy(model, outputs, process_density, measurement_density):
-    """Return the steady Kalman-Bucy filter (paper 001, equations 28 to 31).
+    """Return the steady Kalman-Bucy filter (the paper's equations 28 to 31).
 
     Parameters
     ----------
@@ -249,7 +250,7 @@ def kalman_bucy(model, outputs, process_density, measurement_density):
 
 
 def fly(model, controller, reference, *, duration, interval, rng, kalman=None, measurement_std=(0.0, 0.0, 0.0, 0.0),
-        process_density=None, nonlinear=False, in_loop=True):
+        process_density=None, nonlinear=False):
     """Simulate a flight from trim.
 
     Parameters
@@ -263,14 +264,12 @@ def fly(model, controller, reference, *, duration, interval, rng, kalman=None, m
         The sticks are held through an interval, short against the filter, whose gain it multiplies.
     rng : numpy.random.Generator
     kalman : KalmanBucy, optional
-        Measuring :data:`OUTPUTS`.
+        Measuring :data:`OUTPUTS`, and feeding the controller; without it the true state does.
     measurement_std : (4,), rad and m
     process_density : (15, 15), optional
         Of the gusts that the plant feels.
     nonlinear : bool
         Whether attitude, gravity and the turning axes obey their nonlinear equations.
-    in_loop : bool
-        Whether the filter feeds the controller; otherwise, or without a filter, the true state does.
 
     Warns
     -----
@@ -291,7 +290,7 @@ def fly(model, controller, reference, *, duration, interval, rng, kalman=None, m
     for wanted in reference:
         measured = C @ x + measurement_std * rng.standard_normal(len(C))
         estimate = x if kalman is None else estimate + interval * kalman.gain @ (measured - C @ estimate)
-        control = controller.forward @ wanted - controller.feedback @ (estimate if in_loop else x)
+        control = controller.forward @ wanted - controller.feedback @ estimate
         rows.append((x, control, measured, C @ estimate))
         if kalman is not None:
             estimate = belief[0] @ estimate + belief[1] @ control
@@ -304,7 +303,7 @@ def fly(model, controller, reference, *, duration, interval, rng, kalman=None, m
 
 
 def _warn_beyond_linear(largest):
-    if largest > LINEAR_RANGE:
+    if not largest <= LINEAR_RANGE:
         warnings.warn(f"roll or pitch reached {np.degrees(largest):.0f} deg: beyond {np.degrees(LINEAR_RANGE):.0f} deg "
                       "the linear filter may be worse than the sensor alone", LinearRangeWarning, stacklevel=3)
 

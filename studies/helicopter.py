@@ -1,8 +1,7 @@
-"""The helicopter of paper 001: model, controller, Kalman-Bucy filter, figures 2 and 3, and where they end.
+"""A small helicopter: model, controller, Kalman-Bucy filter, figures 2 and 3, and where they end.
 
 ``study_helicopter`` writes docs/results/helicopter.md and its plots; every figure in it is computed here, from fixed
-seeds. "The paper" is the source of controller and filters in :mod:`inertial.helicopter` (in Persian): state
-estimation of a helicopter with two Kalman filters.
+seeds. "The paper" is that of :mod:`inertial.helicopter`.
 """
 
 import argparse
@@ -357,7 +356,7 @@ def wrong_model_errors(error, runs):
         A, B = (matrix * np.where(exact, 1.0, 1 + error * rng.standard_normal(matrix.shape))
                 for matrix in (model.A, model.B))
         run = flight(GENTLE, believed=LinearModel(A, B, model.states), seed=draw)
-        lost = np.abs(run.output[:, :2]).max() > np.pi / 2
+        lost = not np.abs(run.output[:, :2]).max() < np.pi / 2
         results.append(np.inf if lost else rms(errors_deg(run, run.filtered[:, :2])))
     return np.array(results)
 

@@ -162,6 +162,14 @@ def test_without_noise_the_filter_is_the_plant(model, kalman):
     np.testing.assert_array_equal(run.measured, run.output)
 
 
+def test_a_reference_may_change_on_the_way(model):
+    whole, part = flight(model), flight(model, duration=2.0)
+    path = np.where(np.arange(500)[:, None] < 200, TURN, 0.0)
+    run = flight(model, path)
+    np.testing.assert_array_equal(run.state[:200], part.state)
+    assert abs(run.output[-1, 0]) < 0.01 * abs(whole.output[-1, 0])
+
+
 def test_leaving_the_linear_range_is_told_and_staying_is_not(model, kalman):
     with pytest.warns(LinearRangeWarning, match="reached 3[0-9] deg: beyond 10 deg"):
         flight(model, kalman=kalman, nonlinear=True)
