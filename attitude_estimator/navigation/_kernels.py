@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from inertial.rotation import zoh_coefficients
+from inertial._kernels import compiled, zoh_coefficients
 
 
 def _offsets(*sizes):
@@ -22,9 +22,10 @@ def _offsets(*sizes):
     return ends
 
 
-# Error states: attitude, velocity, position, gyro bias, accelerometer bias; then the altimeter's zero.
+# Error states: attitude, gyro bias; velocity, position, accelerometer bias; the altimeter's zero. The cascade has the
+# same with nothing between the first six and the others, and there BA is the acceleration's error in NED.
 N = 16
-TH, V, POS, BG, BA, REF = 0, 3, 6, 9, 12, 15
+TH, BG, V, POS, BA, REF = 0, 3, 6, 9, 12, 15
 N_BLIND = 6  # north, east; their velocities; cosine and sine of the heading of the level frame
 BV, BC = 2, 4
 KINDS = ("fix", "velocity", "altitude", "inclinometer", "heading", "level")
@@ -35,7 +36,7 @@ N_KINDS = len(KINDS)
  X_BLIND, X_BLIND_COV, X_BLIND_ON, X_DOWN_FIX, X_DOWN_VEL,
  X_INTERVAL, X_GYRO_LP, X_ACCEL_LP, X_GYRO_SPREAD, X_ACCEL_SPREAD,
  X_SINCE, X_NIS, X_USED, X_REFUSED, X_REFUSING,
- X_AXES, X_AXES_COV, X_DVEL, X_DVEL_TIME, X_LAST_VELOCITY,
+ X_DRIFT, X_DVEL, X_DVEL_TIME, X_LAST_VELOCITY,
  STATE_SIZE) = _offsets(
     1,  # PHASE: 0 levelling or looking for the heading, 1 navigating
     4, 3, 3, 3, 3, 1, N * N,  # q_nb_wxyz, velocity, position, biases, altimeter's zero, covariance
@@ -44,7 +45,7 @@ N_KINDS = len(KINDS)
     3, 3,  # last down position and down velocity of the aids: value, variance, age s
     1, 3, 3, 1, 1,  # mean interval; low-passed sample; its squared distance from it
     6, 6, 6, 6, 6,  # of each kind: s since used, NIS over its mean, used, refused, s of refusing
-    3, 27, 3, 1, 4)  # cascade: acceleration error of each axis, covariances [r u b], velocity gained
+    3, 3, 1, 4)  # cascade: acceleration error NED; velocity gained by force and in what time; last velocity, known
 PARAMETER_NAMES = (
     "cascade", "steady", "local_gravity", "gyro_noise_density", "gyro_rate_error", "accel_noise_density",
     "accel_force_error", "gyro_bias_walk", "accel_bias_std", "accel_bias_time", "altitude_drift_density",
@@ -88,14 +89,17 @@ NIS_SHARE = 0.05  # of a new value in the mean NIS
 AIDING_TIMEOUT = 3.0  # s without position and velocity before the level estimator's tilt is taken
 TILT_PERIOD = 1.0  # s between its tilts
 UNKNOWN_VARIANCE = 1e6
-DOWN, POSITION = 2, 0  # axis, and what of it is measured
 NOTHING, STARTED, LOST, TILT = range(4)  # what change_phase did or asks for
+
+# As `compiled`, of what only other kernels call: no entry from Python, which takes half as long to compile.
+_inlined = njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"},
+                no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 # --- closed forms of paper 001 ----------------------------------------------------------------------
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _fifth_coefficient(angle, third):
     """Return 2 (x^3/6 - x + sin x)/x^5, from the series below 0.3 rad."""
     x2 = angle * angle
@@ -104,7 +108,7 @@ def _fifth_coefficient(angle, third):
     return 2.0 * (1.0 / 6.0 - third) / x2
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _fill(out, w, constant, linear, quadratic):
     """Fill out = constant I + linear [w x] + quadratic [w x]^2."""
     x, y, z = w[0], w[1], w[2]
@@ -119,7 +123,7 @@ def _fill(out, w, constant, linear, quadratic):
     out[2, 1] = quadratic * y * z + linear * x
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def attitude_model(w, dt, gyro_density, walk_density, theta, psi, q11, q12):
     """Fill Theta, Psi, Q11 and Q12 of paper 001 (eq 19 to 22) for a rate w held over dt."""
     angle = math.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2) * dt
@@ -133,7 +137,7 @@ def attitude_model(w, dt, gyro_density, walk_density, theta, psi, q11, q12):
     _fill(q12, w, -walk * dt2 / 2.0, walk * k2 * dt2 * dt, -walk * k3 * dt2 * dt2)
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _dcm(q, c):
     """Fill the matrix of a unit quaternion, scalar first."""
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -148,7 +152,7 @@ def _dcm(q, c):
     c[2, 2] = w * w - x * x - y * y + z * z
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _multiply(p, q0, q1, q2, q3):
     """Replace the quaternion p by p q."""
     w, x, y, z = p[0], p[1], p[2], p[3]
@@ -158,7 +162,7 @@ def _multiply(p, q0, q1, q2, q3):
     p[3] = w * q3 + x * q2 - y * q1 + z * q0
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _exp_parts(x, y, z):
     """Return the quaternion of a rotation vector."""
     half = 0.5 * math.sqrt(x * x + y * y + z * z)
@@ -166,14 +170,14 @@ def _exp_parts(x, y, z):
     return math.cos(half), k * x, k * y, k * z
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _normalise(q):
     k = 1.0 / math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     for i in range(4):
         q[i] *= k
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _turn_body(q, x, y, z):
     """Turn an attitude by a rotation vector in body axes."""
     w, a, b, c = _exp_parts(x, y, z)
@@ -181,7 +185,7 @@ def _turn_body(q, x, y, z):
     _normalise(q)
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _turn_navigation(q, x, y, z):
     """Turn an attitude by a rotation vector in navigation axes: exp([v x]) C."""
     w, a, b, c = _exp_parts(x, y, z)
@@ -191,7 +195,7 @@ def _turn_navigation(q, x, y, z):
     _normalise(q)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def integrate_rates(q, before, now, dt):
     """Turn an attitude by point-sampled rates at both ends of dt (paper 001 eq 12, put right).
 
@@ -211,7 +215,7 @@ def integrate_rates(q, before, now, dt):
 # --- the Kalman update ------------------------------------------------------------------------------
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def kalman_update(P, H, R, y, dx, gate):
     """Update P in Joseph form and fill dx, unless the innovation fails the gate.
 
@@ -275,18 +279,11 @@ def kalman_update(P, H, R, y, dx, gate):
         dx[i] = 0.0
         for a in range(d):
             dx[i] += K[i, a] * y[a]
-    _joseph(P, H, R, K, ph)
-    return nis
-
-
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _joseph(P, H, R, K, ph):
-    """Replace P by (I - K H) P (I - K H)^T + K R K^T."""
-    n, d = K.shape
     for i in range(n):
         for j in range(n):
             for a in range(d):
                 P[i, j] -= K[i, a] * ph[j, a]
+    # That is (I - K H) P; what follows is times (I - K H)^T, plus K R K^T.
     for i in range(n):
         for a in range(d):
             s = 0.0
@@ -297,35 +294,36 @@ def _joseph(P, H, R, K, ph):
             ph[i, a] = s
     for i in range(n):
         for j in range(i + 1):
-            s = P[i, j]
-            t = P[j, i]
+            s, t = P[i, j], P[j, i]
             for a in range(d):
                 s -= ph[i, a] * K[j, a]
                 t -= ph[j, a] * K[i, a]
-            P[i, j] = 0.5 * (s + t)
-            P[j, i] = P[i, j]
+            P[i, j] = P[j, i] = 0.5 * (s + t)
+    return nis
 
 
 # --- attitude and gyro bias, paper 001 --------------------------------------------------------------
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def mekf_predict(q, P, w, dt, gyro_density, walk_density):
-    """Carry attitude and covariance (6, 6) over dt; w is the rate less the bias.
+    """Carry attitude and covariance (6, 6) over dt; w is the rate less the bias."""
+    _turn_body(q, w[0] * dt, w[1] * dt, w[2] * dt)
+    mekf_covariance(q, P, w, dt, gyro_density, walk_density, 0.0)
 
-    Phi = [I, -C^T Psi; 0, I] and Q turned alike, with C navigation to body at the end of dt.
+
+@_inlined
+def mekf_covariance(q, P, w, dt, gyro_density, walk_density, angle_var):
+    """Carry the first six rows and columns of P to the attitude q at the end of the interval.
+
+    Phi = [I, -C^T Psi; 0, I] and Q turned alike, with C navigation to body; `angle_var` (rad^2) is noise on top.
     """
     theta, psi, q11, q12 = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     attitude_model(w, dt, gyro_density, walk_density, theta, psi, q11, q12)
-    _turn_body(q, w[0] * dt, w[1] * dt, w[2] * dt)
-    mekf_covariance(q, P, psi, q11, q12, walk_density * walk_density * dt)
-
-
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def mekf_covariance(q, P, psi, q11, q12, q22):
-    """Carry the covariance to the attitude q at the end of the interval; see :func:`mekf_predict`."""
     c, a, t = np.empty((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     _dcm(q, c)
+    for i in range(3):
+        q11[i, i] += angle_var
     for i in range(3):
         for j in range(3):
             for k in range(3):
@@ -338,7 +336,7 @@ def mekf_covariance(q, P, psi, q11, q12, q22):
         for j in range(3):
             P[i, j] += a[j, 0] * P[i, 3] + a[j, 1] * P[i, 4] + a[j, 2] * P[i, 5]
     for i in range(3):
-        P[3 + i, 3 + i] += q22
+        P[3 + i, 3 + i] += walk_density * walk_density * dt
         for j in range(3):
             x = c[i, 0] * q12[0, j] + c[i, 1] * q12[1, j] + c[i, 2] * q12[2, j]
             P[i, 3 + j] += x
@@ -346,7 +344,7 @@ def mekf_covariance(q, P, psi, q11, q12, q22):
             P[i, j] += t[i, 0] * c[j, 0] + t[i, 1] * c[j, 1] + t[i, 2] * c[j, 2]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def mekf_vector_update(q, bias, P, measured_b, reference_n, R, gate):
     """Update by a direction or vector known in the navigation frame; return the NIS.
 
@@ -370,13 +368,13 @@ def mekf_vector_update(q, bias, P, measured_b, reference_n, R, gate):
     return nis
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _wrap(angle):
     """Return the angle within half a turn of zero."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _heading_row(c, H):
     """Fill the derivative of the heading by the attitude error; return its estimate, NaN near the vertical."""
     level2 = c[0, 0] ** 2 + c[1, 0] ** 2
@@ -388,7 +386,7 @@ def _heading_row(c, H):
     return math.atan2(c[1, 0], c[0, 0])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def mekf_heading_update(q, bias, P, heading, variance, gate):
     """Update by a heading, rad clockwise from north; return the NIS, NaN when the nose is near the vertical."""
     c, H, R, y, dx = np.empty((3, 3)), np.zeros((1, 6)), np.empty((1, 1)), np.empty(1), np.zeros(6)
@@ -407,7 +405,7 @@ def mekf_heading_update(q, bias, P, heading, variance, gate):
 # --- the place on the Earth -------------------------------------------------------------------------
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _place(m, earth):
     """Fill gravity, the Earth's and the frame's rate (north, east, down each) and the metric of the position.
 
@@ -436,7 +434,7 @@ def _place(m, earth):
 # --- the 15-state error-state filter ----------------------------------------------------------------
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _carry_mean(m, w, f, dt, dcm, gained):
     """Carry attitude, velocity and position; fill the mean matrix D of dt and the force's velocity gain D f."""
     q = m[X_Q:X_V]
@@ -466,7 +464,7 @@ def _carry_mean(m, w, f, dt, dcm, gained):
     _turn_navigation(q, -dt * (earth[1] + earth[4]), -dt * earth[5], -dt * (earth[3] + earth[6]))
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _carry_covariance(P, D, u, dt, decay):
     """Replace P by F P F^T: F times each column, then each row times F^T."""
     h = 0.5 * dt
@@ -497,10 +495,9 @@ def _carry_covariance(P, D, u, dt, decay):
             A[BA + 2] *= decay
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def eskf_predict(m, dt, w, f, gyro_var, accel_var):
+@_inlined
+def _eskf_predict(m, P, dt, w, f, gyro_var, accel_var):
     """Carry the filter over dt (s); w and f less their biases, variances (rad^2, m^2/s^2) on top of the noise."""
-    P = m[X_COV:X_RATE].reshape((N, N))
     D, u = np.empty((3, 3)), np.empty(3)
     _carry_mean(m, w, f, dt, D, u)
     decay = max(1.0 - dt / m[P_ACCEL_BIAS_TIME], 0.0)
@@ -525,7 +522,7 @@ def eskf_predict(m, dt, w, f, gyro_var, accel_var):
             P[j, i] = P[i, j]
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _lever(m, c, arm, swing):
     """Fill the antenna's place C l and its velocity C (w x l) relative to the IMU, NED."""
     w0, w1, w2 = m[X_RATE], m[X_RATE + 1], m[X_RATE + 2]
@@ -536,7 +533,7 @@ def _lever(m, c, arm, swing):
         swing[i] = c[i, 0] * s0 + c[i, 1] * s1 + c[i, 2] * s2
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _fill_minus_cross(H, column, v):
     """Fill -[v x] into three columns of H."""
     H[0, column + 1], H[0, column + 2] = v[2], -v[1]
@@ -544,7 +541,7 @@ def _fill_minus_cross(H, column, v):
     H[2, column], H[2, column + 1] = v[1], -v[0]
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@compiled
 def measurement_model(m, kind, z, age, H, y):
     """Fill rows and innovation of a measurement valid `age` s before the state; return how many rows count.
 
@@ -556,7 +553,7 @@ def measurement_model(m, kind, z, age, H, y):
             H[i, j] = 0.0
     c, arm, swing = np.empty((3, 3)), np.empty(3), np.empty(3)
     _dcm(m[X_Q:X_V], c)
-    if kind == K_FIX or kind == K_VELOCITY:
+    if kind in (K_FIX, K_VELOCITY):
         _lever(m, c, arm, swing)
         for i in range(3):
             if kind == K_FIX:
@@ -580,7 +577,7 @@ def measurement_model(m, kind, z, age, H, y):
         y[0] = z[0] - (m[X_REF] - (m[X_P + 2] - age * m[X_V + 2]))
         H[0, POS + 2], H[0, V + 2], H[0, REF] = -1.0, age, 1.0
         return 1
-    if kind == K_INCLINOMETER or kind == K_LEVEL:
+    if kind in (K_INCLINOMETER, K_LEVEL):
         w0, w1, w2 = age * m[X_RATE], age * m[X_RATE + 1], age * m[X_RATE + 2]
         d0, d1, d2 = z[0] - w1 * z[2] + w2 * z[1], z[1] - w2 * z[0] + w0 * z[2], z[2] - w0 * z[1] + w1 * z[0]
         # C z = e_down - theta x e_down, whose part along down says nothing.
@@ -596,7 +593,7 @@ def measurement_model(m, kind, z, age, H, y):
     return 1
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _judge(m, kind, nis, d, gate):
     """Count a measurement as used or refused."""
     if nis <= gate:
@@ -610,192 +607,132 @@ def _judge(m, kind, nis, d, gate):
     m[X_NIS + kind] += share * (min(nis / d, 1e3) - m[X_NIS + kind])
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _gate(m, kind, d):
     """Gate of `d` components, infinite once measurements have been refused for the recovery time."""
     return math.inf if m[X_REFUSING + kind] > m[P_RECOVERY] else m[P_GATE] + 3.0 * (d - 1)
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def eskf_update(m, kind, z, cov, age):
-    """Take one measurement; `cov` (3, 3) is its covariance, `age` s how long ago it was valid."""
-    P = m[X_COV:X_RATE].reshape((N, N))
-    H, y, dx = np.empty((3, N)), np.zeros(3), np.zeros(N)
-    d = measurement_model(m, kind, z, age, H, y)
-    if d == 0:
-        return
-    gate = _gate(m, kind, d)
-    if gate == math.inf:
-        # What has been refused for so long is true: the state that it shows is taken for lost.
-        for a in range(d):
-            if kind == K_INCLINOMETER or kind == K_LEVEL:
-                P[TH + 1 - a, TH + 1 - a] += y[a] ** 2
-            elif kind == K_HEADING:
-                P[TH + 2, TH + 2] += y[a] ** 2
-            elif kind == K_ALTITUDE:
-                P[REF, REF] += y[a] ** 2
-            else:
-                i = (POS if kind == K_FIX else V) + a
-                P[i, i] += y[a] ** 2
-    nis = kalman_update(P, H, cov, y[:d], dx, gate)
-    _judge(m, kind, nis, d, gate)
-    if nis <= gate:
-        _turn_navigation(m[X_Q:X_V], dx[0], dx[1], dx[2])
-        for i in range(3):
-            m[X_V + i] += dx[V + i]
-            m[X_P + i] += dx[POS + i]
-            m[X_BG + i] += dx[BG + i]
-            m[X_BA + i] += dx[BA + i]
-        m[X_REF] += dx[REF]
+@_inlined
+def _open(m, P, kind, y, d):
+    """What has been refused for so long is true: the state that it shows is taken for lost."""
+    for a in range(d):
+        if kind in (K_INCLINOMETER, K_LEVEL):
+            i = TH + 1 - a
+        elif kind == K_HEADING:
+            i = TH + 2
+        elif kind == K_ALTITUDE:
+            i = REF
+        else:
+            i = (POS if kind == K_FIX else V) + a
+        P[i, i] += y[a] ** 2
+
+
+@_inlined
+def _correct(m, dx):
+    """Add an error to what is estimated."""
+    _turn_navigation(m[X_Q:X_V], dx[TH], dx[TH + 1], dx[TH + 2])
+    at = X_DRIFT if m[P_CASCADE] == 1.0 else X_BA
+    for i in range(3):
+        m[X_V + i] += dx[V + i]
+        m[X_P + i] += dx[POS + i]
+        m[X_BG + i] += dx[BG + i]
+        m[at + i] += dx[BA + i]
+    m[X_REF] += dx[REF]
 
 
 # --- the cascade of paper 001 -----------------------------------------------------------------------
 
 
-@njit(cache=True, error_model="numpy")
-def axis_predict(P, dt, density, bias_std, bias_time):
-    """Carry the covariance [position, velocity, acceleration error] of one axis over dt."""
+@_inlined
+def _carry_axes(P, dt, density, bias_std, bias_time):
+    """Carry the covariance of velocity, position and acceleration error over dt."""
     h = 0.5 * dt * dt
     decay = math.exp(-dt / bias_time)
     for by_column in range(2):
-        for k in range(3):
-            A = P[k, :] if by_column else P[:, k]
-            A[0] += dt * A[1] + h * A[2]
-            A[1] += dt * A[2]
-            A[2] *= decay
+        for k in range(V, N):
+            A = P[k] if by_column else P[:, k]
+            for i in range(3):
+                A[POS + i] += dt * A[V + i] + h * A[BA + i]
+                A[V + i] += dt * A[BA + i]
+                A[BA + i] *= decay
     q = density * density
-    P[0, 0] += q * dt * dt * dt / 3.0
-    P[0, 1] += q * h
-    P[1, 0] += q * h
-    P[1, 1] += q * dt
-    P[2, 2] += bias_std * bias_std * (1.0 - decay * decay)
+    for i in range(3):
+        P[V + i, V + i] += q * dt
+        P[V + i, POS + i] += q * h
+        P[POS + i, V + i] += q * h
+        P[POS + i, POS + i] += q * dt * dt * dt / 3.0
+        P[BA + i, BA + i] += bias_std * bias_std * (1.0 - decay * decay)
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def cascade_predict(m, dt, w, f, gyro_var, accel_var):
+@_inlined
+def _cascade_predict(m, P, dt, w, f, gyro_var, accel_var):
     """Carry both filters of the cascade over dt (s)."""
     D, u = np.empty((3, 3)), np.empty(3)
     _carry_mean(m, w, f, dt, D, u)
-    theta, psi, q11, q12 = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    attitude_model(w, dt, m[P_GYRO_NOISE], m[P_GYRO_WALK], theta, psi, q11, q12)
     rate2 = w[0] ** 2 + w[1] ** 2 + w[2] ** 2
-    for i in range(3):
-        q11[i, i] += dt * m[P_RATE_ERROR] ** 2 * rate2 + gyro_var
-    P = m[X_COV:X_COV + 36].reshape((6, 6))
-    mekf_covariance(m[X_Q:X_V], P, psi, q11, q12, dt * m[P_GYRO_WALK] ** 2)
+    mekf_covariance(m[X_Q:X_V], P, w, dt, m[P_GYRO_NOISE], m[P_GYRO_WALK],
+                    gyro_var + dt * m[P_RATE_ERROR] ** 2 * rate2)
+    bias_std = 0.0 if m[P_STEADY] == 1.0 else m[P_AXIS_BIAS_STD]
+    _carry_axes(P, dt, math.sqrt(m[P_ACCEL_NOISE] ** 2 + accel_var / dt), bias_std, m[P_AXIS_BIAS_TIME])
     decay = math.exp(-dt / m[P_AXIS_BIAS_TIME])
-    density = math.sqrt(m[P_ACCEL_NOISE] ** 2 + accel_var / dt)
     for i in range(3):
-        m[X_P + i] += 0.5 * dt * dt * m[X_AXES + i]
-        m[X_V + i] += dt * m[X_AXES + i]
-        m[X_AXES + i] *= decay
-        at = X_AXES_COV + 9 * i
-        axis_predict(m[at:at + 9].reshape((3, 3)), dt, density, m[P_AXIS_BIAS_STD], m[P_AXIS_BIAS_TIME])
+        m[X_P + i] += 0.5 * dt * dt * m[X_DRIFT + i]
+        m[X_V + i] += dt * m[X_DRIFT + i]
+        m[X_DRIFT + i] *= decay
         m[X_DVEL + i] += u[i]
     m[X_DVEL_TIME] += dt
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _axis_update(m, i, which, y, variance):
-    """Update one axis by its position (which = 0) or velocity (1)."""
-    at = X_AXES_COV + 9 * i
-    dx, H, R, innovation = np.zeros(3), np.zeros((1, 3)), np.empty((1, 1)), np.empty(1)
-    H[0, which], R[0, 0], innovation[0] = 1.0, variance, y
-    nis = kalman_update(m[at:at + 9].reshape((3, 3)), H, R, innovation, dx, math.inf)
-    m[X_P + i] += dx[0]
-    m[X_V + i] += dx[1]
-    m[X_AXES + i] += dx[2]
+@_inlined
+def _steady_update(m, P, y, R, gate):
+    """Paper 001 eq 8 and 9: position and velocity by the steady gain times the interval; return the NIS."""
+    wn, dt = m[P_AXIS_FREQUENCY], m[P_FIX_INTERVAL]
+    nis = 0.0
+    for i in range(3):
+        density = R[i, i] * dt
+        P[POS + i, POS + i], P[V + i, V + i] = math.sqrt(2.0) * wn * density, math.sqrt(2.0) * wn**3 * density
+        P[POS + i, V + i] = P[V + i, POS + i] = wn * wn * density
+        nis += y[i] * y[i] / (P[POS + i, POS + i] + R[i, i])
+    if nis <= gate:
+        for i in range(3):
+            m[X_P + i] += math.sqrt(2.0) * wn * dt * y[i]
+            m[X_V + i] += wn * wn * dt * y[i]
     return nis
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _steady_update(m, i, y, variance):
-    """Paper 001 eq 8 and 9: position and velocity by the steady gain times the interval; the bias stays zero."""
-    wn, dt = m[P_AXIS_FREQUENCY], m[P_FIX_INTERVAL]
-    m[X_P + i] += math.sqrt(2.0) * wn * dt * y
-    m[X_V + i] += wn * wn * dt * y
-    at, density = X_AXES_COV + 9 * i, variance * dt
-    m[at], m[at + 4] = math.sqrt(2.0) * wn * density, math.sqrt(2.0) * wn**3 * density
-    m[at + 1] = m[at + 3] = wn * wn * density
-    return y * y / (m[at] + variance)
+@_inlined
+def _level_by_velocity(m, z, cov, age, H, R, y):
+    """The force's mean less the aiding velocity's derivative is gravity: fill rows that say so.
 
-
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _axis_nis(m, i, which, y, variance):
-    """Normalised squared innovation of one axis before its update."""
-    at = X_AXES_COV + 9 * i + 4 * which
-    return y * y / (m[at] + variance)
-
-
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def cascade_update(m, kind, z, cov, age):
-    """Take one measurement into the filter that it belongs to; parameters as :func:`eskf_update`."""
-    H, y = np.empty((3, N)), np.zeros(3)
-    d = measurement_model(m, kind, z, age, H, y)
-    if d == 0:
-        return
-    gate = _gate(m, kind, d)
-    P = m[X_COV:X_COV + 36].reshape((6, 6))
-    nis = 0.0
-    if kind == K_HEADING:
-        nis = mekf_heading_update(m[X_Q:X_V], m[X_BG:X_BA], P, z[0], cov[0, 0], gate)
-    elif kind == K_INCLINOMETER or kind == K_LEVEL:
-        down_n = np.zeros(3)
-        down_n[2] = 1.0
-        nis = mekf_vector_update(m[X_Q:X_V], m[X_BG:X_BA], P, z, down_n, cov, gate + 3.0)
-    elif kind == K_ALTITUDE:
-        nis = _axis_nis(m, DOWN, POSITION, -y[0], cov[0, 0])
-        if nis <= gate:
-            _axis_update(m, DOWN, POSITION, -y[0], cov[0, 0])
-    else:
-        which = 0 if kind == K_FIX else 1
-        for i in range(3):
-            nis += _axis_nis(m, i, which, y[i], cov[i, i])
-        for i in range(3 if nis <= gate else 0):
-            if m[P_STEADY] == 1.0:
-                if kind == K_FIX:
-                    _steady_update(m, i, y[i], cov[i, i])
-            else:
-                _axis_update(m, i, which, y[i], cov[i, i])
-        if kind == K_VELOCITY and nis <= gate:
-            _level_by_velocity(m, P, z, cov, age)
-    _judge(m, kind, nis, d, gate)
-
-
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _level_by_velocity(m, P, z, cov, age):
-    """The force's mean less the aiding velocity's derivative is gravity: update the attitude filter by it.
-
-    ``f_true = (I + [theta x]) f``, so ``dv/dt - g - f = -[f x] theta``.
+    ``f_true = (I + [theta x]) f``, so ``dv/dt - g - f = -[f x] theta``. Returns whether they count.
     """
-    c, arm, swing = np.empty((3, 3)), np.empty(3), np.empty(3)
+    c, arm, swing, f = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
     _dcm(m[X_Q:X_V], c)
     _lever(m, c, arm, swing)
-    span = m[X_DVEL_TIME]
-    H, y, R, dx, f = np.zeros((3, 6)), np.empty(3), np.zeros((3, 3)), np.zeros(6), np.empty(3)
+    span = max(m[X_DVEL_TIME], 1e-3)
     for i in range(3):
+        for j in range(N):
+            H[i, j] = 0.0
+        for j in range(3):
+            R[i, j] = 0.0
         velocity = z[i] - swing[i] + age * m[X_ACC + i]
-        f[i] = m[X_DVEL + i] / max(span, 1e-3)
-        y[i] = (velocity - m[X_LAST_VELOCITY + i]) / max(span, 1e-3) - f[i]
-        R[i, i] = 2.0 * cov[i, i] / max(span, 1e-3) ** 2 + m[P_ACCEL_BIAS_STD] ** 2
+        f[i] = m[X_DVEL + i] / span
+        y[i] = (velocity - m[X_LAST_VELOCITY + i]) / span - f[i]
+        R[i, i] = 2.0 * cov[i, i] / span**2 + m[P_ACCEL_BIAS_STD] ** 2
         m[X_LAST_VELOCITY + i] = velocity
         m[X_DVEL + i] = 0.0
     y[2] -= m[P_GRAVITY]
     _fill_minus_cross(H, TH, f)
-    m[X_DVEL_TIME] = 0.0
     known = m[X_LAST_VELOCITY + 3] == 1.0
-    m[X_LAST_VELOCITY + 3] = 1.0
-    if known and 0.02 < span < FRESH:
-        if kalman_update(P, H, R, y, dx, m[P_GATE] + 6.0) <= m[P_GATE] + 6.0:
-            _turn_navigation(m[X_Q:X_V], dx[0], dx[1], dx[2])
-            for i in range(3):
-                m[X_BG + i] += dx[3 + i]
+    m[X_DVEL_TIME], m[X_LAST_VELOCITY + 3] = 0.0, 1.0
+    return known and 0.02 < span < FRESH
 
 
 # --- the start: level, heading unknown --------------------------------------------------------------
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def start_blind(m):
     """Know nothing of the heading: cosine and sine zero, their covariance that of every direction."""
     for i in range(X_BLIND, X_INTERVAL):
@@ -807,7 +744,7 @@ def start_blind(m):
         P[BC + i, BC + i] = 0.5
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def blind_predict(x, P, dt, north, east, force_density2, yaw_density2):
     """Carry the blind start over dt: horizontal force (m/s^2) in the level frame whose heading is sought.
 
@@ -842,45 +779,45 @@ def blind_predict(x, P, dt, north, east, force_density2, yaw_density2):
         P[BV + i, BV + i] += dt * force_density2
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-def _blind_update(m, kind, z, cov, age, level_yaw):
-    """Take a fix, a velocity or a heading into the blind start."""
-    x = m[X_BLIND:X_BLIND_COV]
-    P = m[X_BLIND_COV:X_BLIND_ON].reshape((N_BLIND, N_BLIND))
-    H, y, dx, R = np.zeros((2, N_BLIND)), np.empty(2), np.zeros(N_BLIND), np.zeros((2, 2))
+@_inlined
+def _blind_model(m, kind, z, cov, age, level_yaw, H, R, y):
+    """Fill rows, covariance and innovation of what the blind start takes; return how many rows count."""
+    if kind not in (K_FIX, K_VELOCITY, K_HEADING):
+        return 0
     for i in range(2):
+        for j in range(2):
+            R[i, j] = cov[i, j]
         if kind == K_HEADING:
             angle = z[0] - level_yaw
-            y[i] = (math.sin(angle) if i else math.cos(angle)) - x[BC + i]
+            y[i] = (math.sin(angle) if i else math.cos(angle)) - m[X_BLIND + BC + i]
             H[i, BC + i], R[i, i] = 1.0, cov[0, 0]
         elif kind == K_FIX:
-            y[i] = z[i] - x[i] + age * x[BV + i]
+            y[i] = z[i] - m[X_BLIND + i] + age * m[X_BLIND + BV + i]
             H[i, i], H[i, BV + i] = 1.0, -age
+            R[i, i] += _arm2(m)
         else:
-            y[i] = z[i] - x[BV + i]
+            y[i] = z[i] - m[X_BLIND + BV + i]
             H[i, BV + i] = 1.0
-        if kind != K_HEADING:
-            for j in range(2):
-                R[i, j] = cov[i, j]
-            R[i, i] += (kind == K_FIX) * _arm2(m)
-    gate = _gate(m, kind, len(y))
-    nis = kalman_update(P, H, R, y, dx, gate)
-    _judge(m, kind, nis, len(y), gate)
-    if nis <= gate:
-        for i in range(N_BLIND):
-            x[i] += dx[i]
-        if kind != K_HEADING:
-            m[X_BLIND_ON] = 1.0
-            at = X_DOWN_FIX if kind == K_FIX else X_DOWN_VEL
-            m[at], m[at + 1], m[at + 2] = z[2], cov[2, 2], age
+    return 2
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
+def _blind_correct(m, kind, z, cov, age, dx):
+    """Add an error to the blind start, and remember what the aid says of the vertical."""
+    for i in range(N_BLIND):
+        m[X_BLIND + i] += dx[i]
+    if kind != K_HEADING:
+        m[X_BLIND_ON] = 1.0
+        at = X_DOWN_FIX if kind == K_FIX else X_DOWN_VEL
+        m[at], m[at + 1], m[at + 2] = z[2], cov[2, 2], age
+
+
+@_inlined
 def _arm2(m):
     return m[P_ANTENNA] ** 2 + m[P_ANTENNA + 1] ** 2 + m[P_ANTENNA + 2] ** 2
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def blind_heading_variance(m):
     """Variance of the blind start's heading, rad^2; UNKNOWN_VARIANCE until there is a direction."""
     c, s = m[X_BLIND + BC], m[X_BLIND + BC + 1]
@@ -891,7 +828,7 @@ def blind_heading_variance(m):
     return (s * s * P[BC, BC] - 2.0 * s * c * P[BC, BC + 1] + c * c * P[BC + 1, BC + 1]) / (r2 * r2)
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _may_navigate(m):
     """Whether heading and velocity are known well enough for a filter of small errors."""
     P = m[X_BLIND_COV:X_BLIND_ON].reshape((N_BLIND, N_BLIND))
@@ -900,7 +837,7 @@ def _may_navigate(m):
             and P[BC, BC] + P[BC + 1, BC + 1] < 4.0 * m[P_HEADING_STD] ** 2)
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _start_navigating(m, L):
     """Put the filter of small errors where the level estimator and the blind start have come to."""
     heading = math.atan2(m[X_BLIND + BC + 1], m[X_BLIND + BC])
@@ -934,7 +871,7 @@ def _start_navigating(m, L):
     m[X_PHASE] = 1.0
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _start_vertical(m, P, L):
     """Height and its rate from the aids where they are fresh, otherwise from the level estimator."""
     v, variance, age = m[X_DOWN_VEL], m[X_DOWN_VEL + 1], m[X_DOWN_VEL + 2]
@@ -953,33 +890,25 @@ def _start_vertical(m, P, L):
         m[X_REF], P[REF, REF] = 0.0, 1e-6
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _start_cascade(m, P):
-    """Lay the covariance out as the cascade has it."""
-    Q = np.empty((6, 6))
-    for i in range(6):
-        for j in range(6):
-            Q[i, j] = P[i if i < 3 else BG + i - 3, j if j < 3 else BG + j - 3]
+    """Cut what the cascade does not know of: its attitude from the rest, its acceleration error from all."""
+    for i in range(N):
+        for j in range(N):
+            if (i < V) != (j < V) or (BA <= i < REF) or (BA <= j < REF):
+                P[i, j] = 0.0
     for i in range(3):
-        at = X_AXES_COV + 9 * i
-        for j in range(9):
-            m[at + j] = 0.0
-        m[at], m[at + 4] = P[POS + i, POS + i], P[V + i, V + i]
-        m[at + 1] = m[at + 3] = P[POS + i, V + i]
-        m[at + 8] = 0.0 if m[P_STEADY] == 1.0 else m[P_AXIS_BIAS_STD] ** 2
-        m[X_AXES + i] = 0.0
+        P[BA + i, BA + i] = 0.0 if m[P_STEADY] == 1.0 else m[P_AXIS_BIAS_STD] ** 2
+        m[X_DRIFT + i] = 0.0
         m[X_DVEL + i] = 0.0
     m[X_DVEL_TIME] = 0.0
     m[X_LAST_VELOCITY + 3] = 0.0
-    for i in range(6):
-        for j in range(6):
-            m[X_COV + 6 * i + j] = Q[i, j]
 
 
 # --- from Python ------------------------------------------------------------------------------------
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _track(m, dt, row):
     """Follow the mean interval and how much the samples vary; return what a lost part of dt may have held."""
     usual = m[X_INTERVAL] if m[X_INTERVAL] > 0.0 else dt
@@ -998,7 +927,7 @@ def _track(m, dt, row):
     return lost * m[X_GYRO_SPREAD] / 3.0, lost * m[X_ACCEL_SPREAD]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def fill_row(m, L, dt, force_known, row):
     """Fill one row of history: the sample of the dt (s) before it and what the level estimator makes of it."""
     for i in range(H_SIZE):
@@ -1023,7 +952,7 @@ def fill_row(m, L, dt, force_known, row):
         row[H_YAW_DENSITY2] = m[P_GYRO_NOISE] ** 2 + 2.0 * YAW_BIAS_TIME * bias_var
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def carry(m, row):
     """Carry whatever runs over one row of history."""
     dt = row[H_DT]
@@ -1045,27 +974,58 @@ def carry(m, row):
         w[i] = row[H_GYRO + i] - m[X_BG + i]
         f[i] = row[H_ACCEL + i] - m[X_BA + i]
         m[X_RATE + i] = w[i]
+    P = m[X_COV:X_RATE].reshape((N, N))
     if m[P_CASCADE] == 1.0:
-        cascade_predict(m, dt, w, f, gyro_var, accel_var)
+        _cascade_predict(m, P, dt, w, f, gyro_var, accel_var)
     else:
-        eskf_predict(m, dt, w, f, gyro_var, accel_var)
+        _eskf_predict(m, P, dt, w, f, gyro_var, accel_var)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def take(m, kind, z, cov, age, level_yaw):
-    """Take a measurement, valid `age` s ago, into whatever runs; the yaw is that of the level frame now."""
-    if m[X_PHASE] == 0.0:
-        if kind == K_FIX or kind == K_VELOCITY or kind == K_HEADING:
-            _blind_update(m, kind, z, cov, age, level_yaw)
-        elif kind == K_ALTITUDE:
+    """Take a measurement, valid `age` s ago, into whatever runs; the yaw is that of the level frame now.
+
+    The cascade's filters are blocks of one covariance, so that one update serves all.
+    """
+    H, R, y, dx = np.zeros((3, N)), np.empty((3, 3)), np.zeros(3), np.zeros(N)
+    starting, cascade, steady = m[X_PHASE] == 0.0, m[P_CASCADE] == 1.0, m[P_STEADY] == 1.0
+    if starting:
+        P = m[X_BLIND_COV:X_BLIND_ON].reshape((N_BLIND, N_BLIND))
+        d = _blind_model(m, kind, z, cov, age, level_yaw, H, R, y)
+        if kind == K_ALTITUDE:
             m[X_SINCE + kind] = 0.0  # the level estimator has it
-    elif m[P_CASCADE] == 1.0:
-        cascade_update(m, kind, z, cov, age)
     else:
-        eskf_update(m, kind, z, cov, age)
+        P = m[X_COV:X_RATE].reshape((N, N))
+        d = measurement_model(m, kind, z, age, H, y)
+        for i in range(3):
+            for j in range(3):
+                R[i, j] = cov[i, j]
+    steady = cascade and steady and not starting
+    if d == 0 or (steady and kind == K_ALTITUDE):
+        return
+    gate = _gate(m, kind, d)
+    if gate == math.inf and not starting:
+        _open(m, P, kind, y, d)
+    if steady and kind == K_FIX:
+        nis = _steady_update(m, P, y, R, gate)
+    elif steady and kind == K_VELOCITY:
+        nis = 0.0
+    else:
+        nis = kalman_update(P, H, R, y[:d], dx, gate)
+    _judge(m, kind, nis, d, gate)
+    if not nis <= gate:
+        return
+    if starting:
+        _blind_correct(m, kind, z, cov, age, dx)
+        return
+    _correct(m, dx)
+    if cascade and kind == K_VELOCITY and _level_by_velocity(m, z, cov, age, H, R, y):
+        level_gate = m[P_GATE] + 6.0
+        if kalman_update(P, H, R, y, dx, level_gate) <= level_gate:
+            _correct(m, dx)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def change_phase(m, L):
     """Begin to navigate or go back to the start where it is time; return what was done, of NOTHING to TILT."""
     if m[X_PHASE] == 0.0:
@@ -1073,7 +1033,7 @@ def change_phase(m, L):
             _start_navigating(m, L)
             return STARTED
         return NOTHING
-    if m[X_COV + (2 * 6 + 2 if m[P_CASCADE] == 1.0 else 2 * N + 2)] > HEADING_LOST_STD**2:
+    if m[X_COV + (N + 1) * (TH + 2)] > HEADING_LOST_STD**2:
         m[X_PHASE] = 0.0
         start_blind(m)
         return LOST
@@ -1083,7 +1043,7 @@ def change_phase(m, L):
     return NOTHING
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def write_output(m, L, row, out):
     """Fill one row of output from the state, the level estimator and the last row of history."""
     for i in range(OUT_SIZE):
@@ -1099,25 +1059,17 @@ def write_output(m, L, row, out):
     for i in range(3):
         out[OUT_GYRO + i] = row[H_GYRO + i] - m[X_BG + i]
         out[OUT_ACCEL + i] = row[H_ACCEL + i] - m[X_BA + i]
-    if m[P_CASCADE] == 1.0:
-        for i in range(3):
-            out[OUT_BG_VAR + i] = m[X_COV + 7 * (3 + i)]
-            out[OUT_BA_VAR + i] = m[P_ACCEL_BIAS_STD] ** 2
-            at = X_AXES_COV + 9 * i
-            C[V + i, V + i], C[POS + i, POS + i], C[POS + i, V + i] = m[at + 4], m[at], m[at + 1]
-            C[V + i, POS + i] = m[at + 1]
-            for j in range(3):
-                C[i, j] = m[X_COV + 6 * i + j]
-        return
     P = m[X_COV:X_RATE].reshape((N, N))
     for i in range(9):
         for j in range(9):
-            C[i, j] = P[i, j]
+            C[i, j] = P[i if i < 3 else V + i - 3, j if j < 3 else V + j - 3]
+    cascade = m[P_CASCADE] == 1.0
     for i in range(3):
-        out[OUT_BG_VAR + i], out[OUT_BA_VAR + i] = P[BG + i, BG + i], P[BA + i, BA + i]
+        out[OUT_BG_VAR + i] = P[BG + i, BG + i]
+        out[OUT_BA_VAR + i] = m[P_ACCEL_BIAS_STD] ** 2 if cascade else P[BA + i, BA + i]
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@_inlined
 def _write_start(m, L, out, C):
     """Before it navigates: the level estimator's tilt, the blind start's heading, position and velocity."""
     q = out[OUT_Q:OUT_V]
@@ -1139,16 +1091,16 @@ def _write_start(m, L, out, C):
     C[2, 2] = variance
     B = m[X_BLIND_COV:X_BLIND_ON].reshape((N_BLIND, N_BLIND))
     for i in range(2):
-        C[V + i, V + i] = C[POS + i, POS + i] = UNKNOWN_VARIANCE
+        C[3 + i, 3 + i] = C[6 + i, 6 + i] = UNKNOWN_VARIANCE
         if m[X_BLIND_ON] == 1.0:
-            out[OUT_V + i], C[V + i, V + i] = m[X_BLIND + BV + i], min(B[BV + i, BV + i], UNKNOWN_VARIANCE)
-            out[OUT_P + i], C[POS + i, POS + i] = m[X_BLIND + i], min(B[i, i], UNKNOWN_VARIANCE)
-    out[OUT_V + 2], C[V + 2, V + 2] = L[L_VD], L[L_VD_VAR]
-    out[OUT_P + 2], C[POS + 2, POS + 2] = -L[L_ALTITUDE], L[L_ALTITUDE_VAR]
+            out[OUT_V + i], C[3 + i, 3 + i] = m[X_BLIND + BV + i], min(B[BV + i, BV + i], UNKNOWN_VARIANCE)
+            out[OUT_P + i], C[6 + i, 6 + i] = m[X_BLIND + i], min(B[i, i], UNKNOWN_VARIANCE)
+    out[OUT_V + 2], C[5, 5] = L[L_VD], L[L_VD_VAR]
+    out[OUT_P + 2], C[8, 8] = -L[L_ALTITUDE], L[L_ALTITUDE_VAR]
     if m[X_DOWN_FIX + 1] > 0.0:
         # Height in the frame of the fixes.
         out[OUT_P + 2] = m[X_DOWN_FIX] + m[X_DOWN_FIX + 2] * L[L_VD]
-        C[POS + 2, POS + 2] = m[X_DOWN_FIX + 1] + m[X_DOWN_FIX + 2] ** 2 * L[L_VD_VAR]
+        C[8, 8] = m[X_DOWN_FIX + 1] + m[X_DOWN_FIX + 2] ** 2 * L[L_VD_VAR]
     for i in range(3):
         out[OUT_BG + i], out[OUT_BA + i] = L[L_BG + i], L[L_BA + i]
         out[OUT_BG_VAR + i], out[OUT_BA_VAR + i] = L[L_BG_VAR + i], L[L_BA_VAR + i]
