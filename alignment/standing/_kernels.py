@@ -18,8 +18,8 @@ RIEKF6, RIEKF12, MEKF, EKF5, EKF10, UKF10, IPEKF = range(7)
 PAPER_LITERAL, CLOSED_LOOP, RESIDUAL = range(3)
 
 # A step: its length s, the rotation vector over it, the velocity that the specific force gives over it and the mean
-# of that velocity over it, both in the body's axes at its start.
-(STEP_DT, STEP_DTHETA, STEP_DVEL, STEP_MEAN_DVEL, STEP_SIZE) = (0, 1, 4, 7, 10)
+# of that velocity over it, both in the body's axes at its start, and 1 where no zero velocity may count.
+(STEP_DT, STEP_DTHETA, STEP_DVEL, STEP_MEAN_DVEL, STEP_MOVING, STEP_SIZE) = (0, 1, 4, 7, 10, 11)
 
 # A step under way: its rotation matrix so far, then as above.
 (A_ROTATION, A_DT, A_DVEL, A_POSITION, A_SIZE) = (0, 9, 10, 13, 16)
@@ -186,15 +186,14 @@ def _quaternion(r, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _judge(nis, dt, moving_sensors, c, q):
+def _judge(nis, dt, moving, c, q):
     """Return the weight of a zero velocity, 0 for none, and an event; keep count of motion."""
     root = math.sqrt(nis / 3.0)
     weight = 1.0
-    if c[C_ROBUST] != 0.0:
-        if moving_sensors or root > GATE:
-            weight = 0.0
-        elif root > HUBER:
-            weight = HUBER / root
+    if moving or (c[C_ROBUST] != 0.0 and root > GATE):
+        weight = 0.0
+    elif c[C_ROBUST] != 0.0 and root > HUBER:
+        weight = HUBER / root
     if weight == 0.0:
         q[Q_REJECTED] += dt
         q[Q_ACCEPTED] = 0.0
@@ -303,6 +302,7 @@ def _close_step(acc, r, step):
     sine = math.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     ratio = 2.0 * math.atan2(sine, q[0]) / sine if sine > 1e-9 else 2.0
     step[STEP_DT] = acc[A_DT]
+    step[STEP_MOVING] = 0.0
     for i in range(3):
         step[STEP_DTHETA + i] = ratio * q[1 + i]
         step[STEP_DVEL + i] = acc[A_DVEL + i]
@@ -362,12 +362,15 @@ def run_coarse(c, sums, bias, steps):
 
 
 @njit(cache=True, error_model="numpy")
-def group_step(model, c, R, m, step, turn, half, after, F, H):
+def group_step(model, c, R, J, m, step, turn, half, after, F, H):
     """Carry attitude and velocity over a step and fill transition F and measurement rows H.
 
+    J is the attitude at which the biases' columns are taken, carried along too. As long as the heading swings
+    it must not be R: biases and tilt that cannot be told apart would seem to be.
+
     The error is the small rotation phi, R^ = exp(phi x) R in navigation axes, then rho (riekf: v^ = exp(phi x) v
-    + rho; mekf: v^ = v + rho), then b^ - b of gyro and accelerometer. Returns the mean velocity over the step in
-    ``after`` row 0.
+    + rho; mekf: v^ = v + rho), then b^ - b of gyro and accelerometer. Fills row 0 of ``after`` (4, 3) with the mean
+    velocity over the step.
     """
     t, g = step[STEP_DT], c[C_GRAVITY]
     wx = c[C_EARTH_NORTH] + m[M_V + 1] / c[C_RADIUS]
@@ -380,11 +383,18 @@ def group_step(model, c, R, m, step, turn, half, after, F, H):
     _rotation(0.5 * tx, 0.5 * ty, 0.5 * tz, turn)
     _multiply(R, turn, 3, half)
 
-    gain, bias = after[1], after[2]
+    gain, bias, force = after[1], after[2], after[3]
+    # The steps were summed up with the gyros' bias in: on average half of what it turns by, a third for the mean.
+    for k, share in ((STEP_DVEL, t / 2), (STEP_MEAN_DVEL, t / 3)):
+        bx, by, bz = share * m[M_BG], share * m[M_BG + 1], share * m[M_BG + 2]
+        force[0] = step[k] - (by * step[k + 2] - bz * step[k + 1])
+        force[1] = step[k + 1] - (bz * step[k] - bx * step[k + 2])
+        force[2] = step[k + 2] - (bx * step[k + 1] - by * step[k])
+        for i in range(3):
+            after[0, i] = R[i, 0] * force[0] + R[i, 1] * force[1] + R[i, 2] * force[2]
+            if k == STEP_DVEL:
+                gain[i] = after[0, i]
     for i in range(3):
-        gain[i] = R[i, 0] * step[STEP_DVEL] + R[i, 1] * step[STEP_DVEL + 1] + R[i, 2] * step[STEP_DVEL + 2]
-        after[0, i] = (R[i, 0] * step[STEP_MEAN_DVEL] + R[i, 1] * step[STEP_MEAN_DVEL + 1]
-                       + R[i, 2] * step[STEP_MEAN_DVEL + 2])
         bias[i] = half[i, 0] * m[M_BA] + half[i, 1] * m[M_BA + 1] + half[i, 2] * m[M_BA + 2]
         gain[i] -= t * bias[i]
     vx, vy, vz = m[M_V], m[M_V + 1], m[M_V + 2]
@@ -414,6 +424,12 @@ def group_step(model, c, R, m, step, turn, half, after, F, H):
         H[i, 3 + i] = 1.0
         for j in range(3):
             H[i, j] = -0.5 * F[3 + i, j]
+    # Transport rate, which a wrong velocity makes wrong.
+    F[0, 4] -= t / c[C_RADIUS]
+    F[1, 3] += t / c[C_RADIUS]
+    F[2, 4] += t * c[C_TAN_LATITUDE] / c[C_RADIUS]
+    _multiply(half, turn, 3, R)
+    _multiply(J, turn, 3, half)
     if n == 12:
         for i in range(3):
             for j in range(3):
@@ -424,10 +440,12 @@ def group_step(model, c, R, m, step, turn, half, after, F, H):
             F[3, 6 + j] = 0.5 * t * t * g * half[1, j]
             F[4, 6 + j] = -0.5 * t * t * g * half[0, j]
 
-    _multiply(half, turn, 3, R)
+    _multiply(half, turn, 3, J)
     _rotation(-t * wx, -t * wy, -t * wz, turn)
     _multiply(turn, R, 3, half)
     _copy(half, R)
+    _multiply(turn, J, 3, half)
+    _copy(half, J)
 
 
 @njit(cache=True, error_model="numpy")
@@ -442,12 +460,15 @@ def _add_cross(F, i, j, x, y, z):
 
 
 @njit(cache=True, error_model="numpy")
-def _correct_group(model, R, m, delta, turn, scratch):
-    """Take the estimated error off attitude, velocity and biases."""
+def _correct_group(model, R, J, hold, m, delta, turn, scratch):
+    """Take the estimated error off attitude, velocity and biases; off J too unless it is held."""
     x, y, z = -delta[0], -delta[1], -delta[2]
     _rotation(x, y, z, turn)
     _multiply(turn, R, 3, scratch)
     _copy(scratch, R)
+    if not hold:
+        _multiply(turn, J, 3, scratch)
+        _copy(scratch, J)
     if model == MEKF:
         for i in range(3):
             m[M_V + i] -= delta[3 + i]
@@ -505,7 +526,7 @@ def _group_noise(model, c, step, half_axes, q, P):
 
 
 @njit(cache=True, error_model="numpy")
-def run_group(model, c, R, m, P, q, steps, rows):
+def run_group(model, c, R, J, hold, m, P, q, steps, rows):
     """Run riekf6, riekf12 or mekf over steps; return how many were used and the event that stopped it.
 
     Parameters
@@ -513,6 +534,10 @@ def run_group(model, c, R, m, P, q, steps, rows):
     model : int
     c : constants
     R : (3, 3) float64, dcm_nb
+    J : (3, 3) float64
+        Attitude of :func:`group_step`.
+    hold : bool
+        Whether J keeps free of corrections: while the filter sees known seconds again.
     m : (M_SIZE,) float64
     P : (12, 12) float64
     q : (Q_SIZE,) float64
@@ -522,14 +547,14 @@ def run_group(model, c, R, m, P, q, steps, rows):
     """
     n = 6 if model == RIEKF6 else 12
     F, H, scratch = np.empty((12, 12)), np.empty((3, 12)), np.empty((12, 12))
-    turn, half, after = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    turn, half, after = np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3))
     delta, gain, s = np.empty(12), np.empty(12), np.empty(3)
     for k in range(len(steps)):
         step = steps[k]
         t = step[STEP_DT]
         for i in range(3):
             q[Q_EAST + i] += t * R[1, i]
-        group_step(model, c, R, m, step, turn, half, after, F, H)
+        group_step(model, c, R, J, m, step, turn, half, after, F, H)
         _carry(P, F, n, scratch)
         _group_noise(model, c, step, R, q, P)
         q[Q_TIME] += t
@@ -545,7 +570,8 @@ def run_group(model, c, R, m, P, q, steps, rows):
                  + (step[STEP_DTHETA + 2] / t - m[M_BG + 2]) ** 2)
         turning = rate2 > c[C_LARGEST_RATE] ** 2 and c[C_TURNING_ALLOWED] == 0.0
         too_fast = speed2 > c[C_LARGEST_VELOCITY] ** 2 + 9.0 * (s[0] + s[1] + s[2])
-        weight, event = _judge(nis, t, turning or too_fast, c, q)
+        moving = step[STEP_MOVING] != 0.0 or (c[C_ROBUST] != 0.0 and (turning or too_fast))
+        weight, event = _judge(nis, t, moving, c, q)
         if weight > 0.0:
             for i in range(n):
                 delta[i] = 0.0
@@ -553,8 +579,9 @@ def run_group(model, c, R, m, P, q, steps, rows):
                 _update(P, H[i], n, after[0, i], variance / weight, gain, delta)
             alarm = _adapt(after[0], s, 3, c, q)
             event = alarm if alarm != NOTHING else event
-            _correct_group(model, R, m, delta, turn, half)
+            _correct_group(model, R, J, hold, m, delta, turn, half)
             _orthonormalise(R)
+            _orthonormalise(J)
         if len(rows) > 0:
             group_row(model, R, m, P, q, rows[k])
         if event != NOTHING:

@@ -24,7 +24,7 @@ from alignment.standing.coarse import (
     limit_heading,
     start_attitude,
 )
-from alignment.standing.filters import Filter, heading_covariance
+from alignment.standing.filters import GROUP_FILTERS, Filter, heading_covariance
 from alignment.standing.params import SMALLEST_COS_LATITUDE
 from inertial.recording import ImuSeries
 from inertial.rotation import (
@@ -41,8 +41,9 @@ _PREVIEW = 2.0  # s of the coarse alignment from which there is a result
 _LARGEST_FORCE_ERROR = 0.05  # of gravity: more is motion, or wrong units
 _STANDING_AGAIN = 10.0  # s that sensors must look still, while the filter's velocity says otherwise
 _BLIND_TILT_STD = 0.1  # rad, more than any coarse alignment is off
-_REPEAT_STEPS = 12000  # remembered steps; by then the heading is what it will be
+_REPEAT_STEPS = 12000  # remembered steps, at most; by then the heading is what it will be
 _REPEAT_CHANGE = 0.02  # rad of heading, beyond which it is worth while to make the equations linear anew
+_CHECKPOINT_TIME = 5.0  # s; motion takes back the zero velocities of the last one or two
 _REPEATS = 4  # at most, each time
 _UNKNOWN = math.radians(30.0)  # spread of a heading that is not worth believing
 _ANOTHER_SCALE = 0.02  # of gravity, by which the mean force may differ from it
@@ -130,14 +131,24 @@ class StandingAligner:
         """Forget everything that was measured."""
         self._stamp_ns = None
         self._step = np.zeros(kernels.A_SIZE)
-        self._held = _Samples.none()
+        self._held, self._singles = _Samples.none(), []
+        self._one = _Samples(np.zeros(1, dtype=np.int64), np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
+        self._one_step, self._one_end = np.empty((1, kernels.STEP_SIZE)), np.empty(1, dtype=np.int64)
         self._begin_anew(None, None)
 
     def add_imu(self, stamp_ns, gyro_b, accel_b):
         """Take in a sample, rad/s and m/s^2; return whether the result has changed."""
-        sample = ImuSeries(np.array([stamp_ns], dtype=np.int64), np.array([gyro_b], dtype=float),
-                           np.array([accel_b], dtype=float))
-        return self._add(sample)
+        dt = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) * 1e-9
+        if not (0.0 < dt <= _LONGEST_GAP and math.isfinite(sum(gyro_b) + sum(accel_b))):
+            return self._add(ImuSeries(np.array([stamp_ns], dtype=np.int64), np.array([gyro_b], dtype=float),
+                                       np.array([accel_b], dtype=float)))
+        self._stamp_ns = stamp_ns
+        one = self._one
+        one.stamp_ns[0], one.dt[0], one.gyro_b[0], one.accel_b[0] = stamp_ns, dt, gyro_b, accel_b
+        if self._by_steps:
+            return self._take(one)
+        self._singles.append((stamp_ns, dt, *gyro_b, *accel_b))
+        return self._take(one, held=True)
 
     def run(self, imu, period=1.0):
         """Take in a recording; return the results, one after each period with its phase.
@@ -195,19 +206,23 @@ class StandingAligner:
     @property
     def refusal(self):
         """Why no heading may be believed; empty when it may."""
-        if abs(self._scale - 1) > _LARGEST_FORCE_ERROR:
-            return f"the accelerometers read {explain_scale(self._scale)}"
+        if self.input_error:
+            return self.input_error
         if self._no_latitude:
             return self._no_latitude
         if self.moving:
             return "the vehicle moves"
         if self._filter is None:
             return "the coarse alignment is under way" if self._sums[kernels.O_TIME] else "no second at rest yet"
-        if abs(self._scale - 1) > _ANOTHER_SCALE:
-            return f"the accelerometers read {explain_scale(self._scale)}"
         if self.result.heading_std > _UNKNOWN:
             return "the gyros' biases hide the Earth rate: turn the vehicle or the IMU"
         return ""
+
+    @property
+    def input_error(self):
+        """What is wrong with the samples, as a unit or a scale; empty when they may be of a vehicle on the Earth."""
+        allowed = _LARGEST_FORCE_ERROR if self._filter is None else _ANOTHER_SCALE
+        return f"the accelerometers read {explain_scale(self._scale)}" if abs(self._scale - 1) > allowed else ""
 
     @property
     def result(self):
@@ -258,32 +273,55 @@ class StandingAligner:
         self.gaps += 1
         self._remark(False, f"gap of {gap:.1f} s: the alignment starts anew")
         self._step[:] = 0.0
-        self._held = _Samples.none()
+        self._held, self._singles = _Samples.none(), []
         self._begin_anew(*self._known_biases())
         return True
 
-    def _take(self, samples):
-        """Reduce samples to steps and use them."""
-        steps, ends = np.empty((len(samples.dt), kernels.STEP_SIZE)), np.empty(len(samples.dt), dtype=np.int64)
+    @property
+    def _by_steps(self):
+        """Whether the filter needs no samples, only what they sum up to."""
+        return self._name in GROUP_FILTERS
+
+    def _take(self, samples, held=False):
+        """Reduce samples to steps and use them; ``held`` ones are among the singles already."""
+        size = len(samples.dt)
+        steps, ends = (self._one_step, self._one_end) if size == 1 else (
+            np.empty((size, kernels.STEP_SIZE)), np.empty(size, dtype=np.int64))
         count = kernels.reduce_samples(self._step, samples.dt, samples.gyro_b, samples.accel_b,
                                        self.params.zero_velocity_period, steps, ends)
-        offset = len(self._held.dt)
-        samples = self._held.joined(samples)
-        ends = ends[:count] + offset
+        if self._by_steps:
+            return bool(count) and self._use(steps[:count].copy(), samples.stamp_ns[ends[:count]])
+        if held and not count:
+            return False
+        return self._use_samples(steps[:count].copy(), ends[:count], samples, held)
+
+    def _use_samples(self, steps, ends, samples, held):
+        """Use steps together with their samples, and hold those of the step under way."""
+        if self._singles:
+            self._held = self._held.joined(_Samples.of(self._singles))
+            self._singles = []
+        offset = len(self._held.dt) - (len(samples.dt) if held else 0)
+        every = self._held if held else self._held.joined(samples)
+        ends = ends + offset
+        edges = [0, *(ends + 1)]
+        spans = [every.part(start, end) for start, end in zip(edges[:-1], edges[1:], strict=True)]
+        self._held = every.part(edges[-1], len(every.dt))
+        return self._use(steps, every.stamp_ns[ends], spans)
+
+    def _use(self, steps, stamp_ns, spans=()):
+        """Use steps that end at the stamps; an error model uses the spans of samples they were made of."""
         k, changed = 0, False
-        while k < count:
+        while k < len(steps):
             if self._filter is None:
                 used, new = 1, self._approach(steps[k])
-            elif self._filter.in_steps:
-                used, new = self._refine(steps[k:count]), True
+            elif self._by_steps:
+                used, new = self._refine(steps[k:]), True
             else:
-                first = ends[k - 1] + 1 if k else 0
-                used, new = self._follow(steps[k], samples.part(first, ends[k] + 1)), True
+                used, new = self._follow(steps[k], spans[k]), True
             k += used
             if new:
                 self._result, changed = None, True
-                self._result_stamp = int(samples.stamp_ns[ends[k - 1]])
-        self._held = samples.part(ends[-1] + 1 if count else 0, len(samples.dt))
+                self._result_stamp = int(stamp_ns[k - 1])
         return changed
 
     # --- waiting and coarse -----------------------------------------------------------------------
@@ -343,10 +381,11 @@ class StandingAligner:
         if self._filter.in_steps:
             self._repeat_at = 2 * len(self._steps)
             self._run_again(coarse.start_q_nb_wxyz)
+            self._checkpoints = [(self._filter.snapshot(), [])] * 2
         self._still_time = 0.0
 
     def _make_filter(self, coarse):
-        if self._name in ("riekf12", "mekf", "riekf6"):
+        if self._by_steps:
             return self._blind_filter(coarse.start_q_nb_wxyz)
         found = Filter(self._name, self.params, coarse.q_nb_wxyz, coarse.covariance, self._biases,
                        self._bias_covariance)
@@ -363,17 +402,40 @@ class StandingAligner:
 
     def _refine(self, steps):
         """Run the filter over as many steps as nothing happens in; return how many."""
-        found = self._filter
-        room = 1 if found.moving else max(self._repeat_at - len(self._steps), 1)
+        found, since = self._filter, self._checkpoints[-1][1]
+        between = max(1, round(_CHECKPOINT_TIME / steps[0, kernels.STEP_DT]))
+        room = 1 if found.moving else between - len(since)
+        if len(self._steps) < self._repeat_at:
+            room = min(room, self._repeat_at - len(self._steps))
         steps = steps[:room]
         used, event = found.run_steps(steps, np.empty((0, kernels.OUT_SIZE)))
-        if len(self._steps) < _REPEAT_STEPS:
-            self._steps.extend(steps[:used].copy())
+        since.extend(steps[:used])
+        if self._repeat_at:
+            self._steps.extend(steps[:used])
+        if event == kernels.MOVED:
+            self._go_back()
         self._heed(event, steps[used - 1])
-        if self._filter is found and len(self._steps) == self._repeat_at:
-            self._repeat_at = min(2 * self._repeat_at, _REPEAT_STEPS)
+        if self._filter is found and self._repeat_at and len(self._steps) >= self._repeat_at:
+            self._repeat_at = 2 * self._repeat_at if 2 * self._repeat_at <= _REPEAT_STEPS else 0
             self._run_again(self._first_attitude())
+            found = self._filter
+            self._checkpoints = [(found.snapshot(), [])] * 2
+        elif len(since) >= between:
+            self._checkpoints = [self._checkpoints[-1], (found.snapshot(), [])]
         return used
+
+    def _go_back(self):
+        """Take back the zero velocities of the seconds before motion was noticed: it may have crept before."""
+        (snapshot, early), (_, late) = self._checkpoints
+        steps = np.array(early if early is late else early + late)
+        steps[:, kernels.STEP_MOVING] = 1.0
+        self._filter.restore(snapshot)
+        used = 0
+        while used < len(steps):
+            used += self._filter.run_steps(steps[used:], np.empty((0, kernels.OUT_SIZE)))[0]
+        if self._repeat_at:
+            for kept in self._steps[-len(steps):]:
+                kept[kernels.STEP_MOVING] = 1.0
 
     def _follow(self, step, samples):
         """Run a filter of the error model over the samples of a step."""
@@ -425,7 +487,7 @@ class StandingAligner:
                 return
             self._filter, self._linearised_at, used = self._blind_filter(q_start), q_start, 0
             while used < len(steps):
-                used += self._filter.run_steps(steps[used:], np.empty((0, kernels.OUT_SIZE)))[0]
+                used += self._filter.run_steps(steps[used:], np.empty((0, kernels.OUT_SIZE)), hold=True)[0]
             q_start = self._first_attitude()
 
     def _apart(self, q_start):
@@ -489,6 +551,12 @@ class _Samples:
     def none(cls):
         return cls(np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
 
+    @classmethod
+    def of(cls, rows):
+        """Return the samples of rows (stamp, interval, rate, force)."""
+        values = np.array([row[1:] for row in rows])
+        return cls(np.array([row[0] for row in rows], dtype=np.int64), values[:, 0], values[:, 1:4], values[:, 4:])
+
     def joined(self, later):
         if not len(self.dt):
             return later
@@ -510,5 +578,6 @@ def warm_up(params):
     aligner = StandingAligner(replace(params, latitude=latitude, coarse_window=5.0))
     count = 800
     force = np.array([0.0, 0.0, -aligner.params.local_gravity])
-    aligner.run(ImuSeries(np.arange(count) * 10_000_000, np.zeros((count, 3)), np.tile(force, (count, 1))))
-    aligner.result
+    imu = ImuSeries(np.arange(count) * 10_000_000, np.zeros((count, 3)), np.tile(force, (count, 1)))
+    aligner.run(imu)
+    aligner.add_imu(int(imu.stamp_ns[-1]) + 10_000_000, np.zeros(3), force)

@@ -27,6 +27,8 @@ from inertial.rotation import dcm_from_quaternion, euler_from_dcm
 GROUP_FILTERS = ("riekf6", "riekf12", "mekf")
 VELOCITY_STD = 0.1
 """Spread of the first velocity, m/s, of every filter (the study's P0)."""
+TILT_STD = math.radians(1.0)
+"""Spread of the first tilt in the study's P0, rad."""
 GRAVITY_STD = 5e-4
 """Spread of gravity about the WGS84 formula, m/s^2; no accelerometer bias tells it from one along the vertical."""
 
@@ -131,6 +133,7 @@ class Filter:
         self.in_steps = name in GROUP_FILTERS
         self.constants = params.constants()
         self.R = dcm_from_quaternion(np.asarray(q_nb_wxyz, dtype=float))
+        self.J = self.R.copy()
         self.m = np.zeros(kernels.M_SIZE)
         self.P = np.zeros((12, 12))
         self.q = np.zeros(kernels.Q_SIZE)
@@ -150,9 +153,22 @@ class Filter:
         p = params.horizon if name == "ipekf" else 1
         self.ipa = (np.zeros((p, 2, 5)), np.zeros((5, 2 * p)), np.zeros((2 * p, 2 * p)), np.zeros(2 * p), np.zeros(5))
 
-    def run_steps(self, steps, rows):
-        """Use steps of :func:`alignment.standing._kernels.reduce_samples`; return how many, and the event."""
-        return kernels.run_group(self.model, self.constants, self.R, self.m, self.P, self.q, steps, rows)
+    def run_steps(self, steps, rows, hold=False):
+        """Use steps of :func:`alignment.standing._kernels.reduce_samples`; return how many, and the event.
+
+        ``hold`` keeps the equations linear about the first attitude instead of the present one.
+        """
+        return kernels.run_group(self.model, self.constants, self.R, self.J, hold, self.m, self.P, self.q, steps,
+                                 rows)
+
+    def snapshot(self):
+        """Return a copy of the state, for :meth:`restore`."""
+        return tuple(array.copy() for array in (self.R, self.J, self.m, self.P, self.q))
+
+    def restore(self, snapshot):
+        """Go back to a state."""
+        for array, kept in zip((self.R, self.J, self.m, self.P, self.q), snapshot, strict=True):
+            array[:] = kept
 
     def run_samples(self, dt, gyro_b, accel_b, standing, every, rows):
         """Use samples; return how many, and the event that stopped it."""
@@ -268,6 +284,6 @@ def sample_intervals(stamp_ns):
     return np.concatenate([dt[:1], dt])
 
 
-def heading_covariance(heading_std, tilt_std=math.radians(1.0)):
+def heading_covariance(heading_std, tilt_std=TILT_STD):
     """Return the diagonal P0 of a tilt and a heading known to so many rad."""
     return np.diag([tilt_std ** 2, tilt_std ** 2, heading_std ** 2])

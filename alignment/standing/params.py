@@ -51,7 +51,8 @@ class StandingParams:
     accel_bias_std: float = _shared("accel_bias_std")
     accel_bias_instability: float = parameter(
         5e-4, "m/s^2", "Floor of the accelerometers' Allan deviation.", 0.0)
-    bias_time: float = parameter(3600.0, "s", "Time beyond which the biases walk at random; before it their noise is 1/f.", 1.0)
+    bias_time: float = parameter(
+        3600.0, "s", "Time beyond which the biases walk at random; before it their noise is 1/f.", 1.0)
     scale_std: float = _shared("scale_std")
     zero_velocity_std: float = parameter(
         5e-3, "m/s", "Spread of the velocity of a vehicle that stands: people, wind.", 1e-9)
