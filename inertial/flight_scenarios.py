@@ -40,7 +40,7 @@ class Receiver:
     fix_delay: float = 0.12
     velocity_delay: float = 0.14
     dropout_period: float = 60.0
-    dropout_start: float = 40.0
+    dropout_start: float = 25.0
     dropout_length: float = 12.0
 
 

@@ -124,7 +124,8 @@ def spin_sensors(node, sensors):
     node : rclpy.node.Node
     sensors : list of (rclpy.subscription.Subscription, callable)
         Raw subscriptions of a :class:`SensorGroup` with what takes their bytes; of messages that wait together,
-        those of the first subscription are served first.
+        those of the first subscription are served first. A message of the last one is served after all that
+        came before it.
 
     Raises
     ------
@@ -146,11 +147,24 @@ def spin_sensors(node, sensors):
 
 
 def _serve_waiting(sensors):
-    for _ in range(BACKLOG):
-        for subscription, take in sensors:
-            waiting = subscription.handle.take_message(subscription.msg_type, True)
-            if waiting is not None:
-                take(waiting[0])
-                break
-        else:
+    *others, (last, take_last) = sensors
+    left = BACKLOG
+    while left > 0:
+        # Fetched first and served last: by then all that came before it has been served.
+        waiting = last.handle.take_message(last.msg_type, True)
+        served = sum(_serve(*sensor, left) for sensor in others)
+        if waiting is not None:
+            take_last(waiting[0])
+        elif not served:
             return
+        left -= served + 1
+
+
+def _serve(subscription, take, most):
+    """Serve what waits on a subscription; return how many messages that were."""
+    for count in range(most):
+        waiting = subscription.handle.take_message(subscription.msg_type, True)
+        if waiting is None:
+            return count
+        take(waiting[0])
+    return most

@@ -237,7 +237,7 @@ class NavigationSession:
         stamp_ns, fix = decode_fix(raw)
         self._begin("fix", stamp_ns)
         if fix.status < GPS_FIX:
-            raise MeasurementRefusedError("no_fix", "the receiver has no position")
+            raise MeasurementRefusedError("no_fix", f"status {fix.status}: the receiver has no position")
         covariance_n = None
         if fix.covariance_type != COVARIANCE_UNKNOWN:
             covariance_n = self._covariance_n("fix", np.reshape(fix.covariance, (3, 3)))

@@ -173,8 +173,8 @@ class Feed:
 class Diagnostics:
     """What a node has reported on /diagnostics."""
 
-    def __init__(self, peer, name="attitude_node"):
-        self._name = f"{name}: attitude"
+    def __init__(self, peer, name="attitude_node", what="attitude"):
+        self._name = f"{name}: {what}"
         self._arrays = peer.hear(DiagnosticArray, "/diagnostics", raw=False)
 
     @property
