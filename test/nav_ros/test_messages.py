@@ -7,7 +7,19 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from nav_ros import messages
-from nav_ros.messages import DOUBLES, IMU, INVALID_STAMP, ODOMETRY, MalformedMessageError, StampedEncoder
+from nav_ros.messages import (
+    DOUBLES,
+    FIX,
+    IMU,
+    INVALID_STAMP,
+    NO_FIX,
+    ODOMETRY,
+    POSE,
+    TWIST,
+    Fix,
+    MalformedMessageError,
+    StampedEncoder,
+)
 
 FRAMES = ["", "a", "imu", "imu_", "base_link", "imué", "机体", "x" * 63]
 STAMP_NS = 1_700_000_000_123_456_789
@@ -101,6 +113,49 @@ def test_odometry_fields_stand_where_the_definition_says():
     assert list(values[messages.TWIST_LINEAR]) == flat(message.twist.twist.linear)
     assert list(values[messages.TWIST_ANGULAR]) == flat(message.twist.twist.angular)
     assert list(values[messages.TWIST_COVARIANCE]) == list(message.twist.covariance)
+
+
+def test_twist_and_pose_fields_stand_where_the_definition_says():
+    values = np.arange(43.0)
+    twist = STORE.deserialize_cdr(StampedEncoder(TWIST, "map").encode(0, values[:42]), TWIST).twist
+    assert list(values[messages.VELOCITY]) == flat(twist.twist.linear)
+    assert list(values[messages.VELOCITY_COVARIANCE]) == list(twist.covariance)
+    pose = STORE.deserialize_cdr(StampedEncoder(POSE, "map").encode(0, values), POSE).pose
+    assert list(values[messages.POSE_ORIENTATION]) == flat(pose.pose.orientation)
+    assert list(values[messages.POSE_COVARIANCE]) == list(pose.covariance)
+
+
+A_FIX = Fix(NO_FIX, 35.0, 139.5, -12.25, tuple(np.arange(9.0)), 2)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_fix_is_that_of_rosbags_and_of_rclpy(frame):
+    raw = messages.encode_fix(STAMP_NS, frame, A_FIX)
+    message = STORE.deserialize_cdr(raw, FIX)
+    assert bytes(STORE.serialize_cdr(message, FIX)) == raw
+    assert (message.header.frame_id, message.status.status, message.status.service) == (frame, NO_FIX, 1)
+    assert (message.latitude, message.longitude, message.altitude) == A_FIX[1:4]
+    assert (tuple(message.position_covariance), message.position_covariance_type) == A_FIX[4:]
+    serialization = pytest.importorskip("rclpy.serialization", reason="rclpy is not installed")
+    message_class = importlib.import_module("sensor_msgs.msg").NavSatFix
+    theirs = serialization.serialize_message(serialization.deserialize_message(raw, message_class))
+    for each in (raw, theirs, raw + bytes(-len(raw) % 4)):
+        assert messages.decode_fix(each) == (STAMP_NS, A_FIX)
+
+
+def test_a_fix_cut_off_or_with_other_bytes_is_malformed_and_nothing_else():
+    raw = messages.encode_fix(STAMP_NS, "gps", A_FIX)
+    for length in range(len(raw)):
+        with pytest.raises(MalformedMessageError):
+            messages.decode_fix(raw[:length])
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        damaged = bytearray(raw)
+        damaged[rng.integers(len(raw))] = rng.integers(256)
+        try:
+            messages.decode_fix(bytes(damaged))
+        except MalformedMessageError as error:
+            assert str(error)
 
 
 @pytest.mark.parametrize("sec, nanosec", [(-1, 0), (-2**31, 5), (0, 10**9), (7, 2**32 - 1)])

@@ -3,9 +3,21 @@
 import numpy as np
 import pytest
 
+from inertial.flight_scenarios import simulate_flight
 from inertial.recording import AltitudeSeries, AttitudeSeries, ImuSeries, JointSeries, Recording
 from nav_ros.bags import BagWriter, read_recording
-from nav_ros.messages import JOINTS, decode_joints
+from nav_ros.messages import (
+    JOINTS,
+    NO_FIX,
+    POSE_POSITION,
+    TWIST,
+    TWIST_LINEAR,
+    VELOCITY,
+    VELOCITY_COVARIANCE,
+    decode,
+    decode_fix,
+    decode_joints,
+)
 from nav_ros.recorded import recorded_messages
 
 T0 = 1_700_000_000_000_000_000
@@ -66,3 +78,31 @@ def test_a_table_angle_is_written_as_a_joint_that_turns_the_other_way():
     found = [decode_joints(message.raw) for message in messages if message.topic == "/joint_states"]
     assert found == [(stamp, {"table_joint": -angle})
                      for stamp, angle in zip(stamps.tolist(), (0.0, 0.5, 1.0), strict=True)]
+
+
+def test_fixes_velocities_and_the_true_odometry_are_written_in_enu_and_in_the_order_of_arrival():
+    flight = simulate_flight("flight_with_gps", duration=40.0, imu_rate=20.0)
+    types, messages = recorded_messages(flight)
+    raws = {topic: [message.raw for message in messages if message.topic == topic] for topic in types}
+    fixes = [decode_fix(raw) for raw in raws["/fix"]]
+    assert [stamp_ns for stamp_ns, _ in fixes] == flight.fix.stamp_ns.tolist()
+    for k, (_, fix) in enumerate(fixes):
+        assert (fix.status == NO_FIX) == np.isnan(flight.fix.latitude[k])
+        assert fix.covariance[::4] == tuple(np.diagonal(flight.fix.covariance_n)[[1, 0, 2]])
+        np.testing.assert_allclose(np.radians([fix.latitude_deg, fix.longitude_deg]),
+                                   [flight.fix.latitude[k], flight.fix.longitude[k]], rtol=ROUNDING)
+    _, _, values = decode(TWIST, raws["/velocity"][20])
+    north, east, down = flight.velocity.velocity_n[20]
+    assert values[VELOCITY] == (east, north, -down)
+    variances = np.reshape(values[VELOCITY_COVARIANCE], (6, 6)).diagonal()
+    assert variances[:3].tolist() == np.diagonal(flight.velocity.covariance_n)[[1, 0, 2]].tolist()
+    values = np.frombuffer(raws["/ground_truth/odometry"][-1][-85 * 8:])
+    np.testing.assert_array_equal(values[POSE_POSITION], flight.position_n[-1, [1, 0, 2]] * [1, 1, -1])
+    assert np.hypot(*values[TWIST_LINEAR][1:]) < 0.05 * values[TWIST_LINEAR][0], "an aircraft flies ahead"
+
+    imu = 0
+    for message in messages:
+        imu += message.topic == "/imu/data_raw"
+        if message.topic == "/fix":
+            stamp_ns, _ = decode_fix(message.raw)
+            assert imu == flight.fix.arrival[flight.fix.stamp_ns.tolist().index(stamp_ns)]
