@@ -114,6 +114,11 @@ class StandingSession:
         return self._aligner.refusal
 
     @property
+    def input_error(self):
+        """What is wrong with the samples, as a unit or a scale; empty when they may be of a vehicle on the Earth."""
+        return self._aligner.input_error
+
+    @property
     def gaps(self):
         """Gaps in the samples."""
         return self._aligner.gaps

@@ -252,7 +252,7 @@ class StandingView:
     @property
     def bad_input(self):
         """Whether it is the input that forbids a heading."""
-        return self.session.refusal.startswith("the accelerometers")
+        return bool(self.session.input_error)
 
     def status(self):
         """Return key -> value of what is known; biases are those forward, right and down."""

@@ -1,12 +1,15 @@
 """A standing vehicle's session: a half turn is no drive; stop and start; a later latitude; every method."""
 
+import dataclasses
 import math
 
 import pytest
 
 from alignment.standing.params import STANDING_METHODS, StandingParams
 from alignment.standing_session import StandingSession
+from inertial.earth import STANDARD_GRAVITY
 from inertial.parked_scenarios import GRADES, simulate_parked
+from inertial.recording import ImuSeries
 from inertial.table_scenarios import HEADING, LATITUDE
 
 ERRORS = GRADES["navigation"].errors
@@ -65,3 +68,12 @@ def test_a_latitude_that_comes_later_begins_the_alignment(turned):
     assert fed(session, turned)[0][:2] == ["waiting", "coarse"] and "latitude is not known" in session.refusal
     session.params = PARAMS
     assert session.phase == "waiting" and "latitude" not in session.refusal
+
+
+def test_a_wrong_unit_is_told_apart_from_other_refusals(turned):
+    session, wrong = StandingSession(PARAMS), StandingSession(PARAMS)
+    fed(session, turned)
+    in_g = ImuSeries(turned.imu.stamp_ns, turned.imu.gyro_b, turned.imu.accel_b / STANDARD_GRAVITY)
+    fed(wrong, dataclasses.replace(turned, imu=in_g))
+    assert not session.input_error
+    assert wrong.input_error and wrong.refusal == wrong.input_error
