@@ -24,6 +24,7 @@ study: ## rewrite the tables of docs/results
 	@scripts/run study python3 -m studies.ins_alignment
 	@scripts/run study python3 -m studies.strapdown
 	@scripts/run study python3 -m studies.helicopter
+	@scripts/run study python3 -m studies.two_filters
 
 bags: ## rewrite the bundled bags, byte for byte the same
 	@scripts/run study scripts/make_bags bags

@@ -80,6 +80,7 @@ setup(
             "study_ins_alignment = studies.ins_alignment:main",
             "study_strapdown = studies.strapdown:main",
             "study_helicopter = studies.helicopter:main",
+            "study_two_filters = studies.two_filters:main",
         ],
     },
 )
