@@ -231,74 +231,69 @@ def kalman_update(P, H, R, y, dx, gate):
         The normalised squared innovation (NIS); above `gate` nothing was changed.
     """
     n, d = len(P), len(y)
-    ph, S, L = np.zeros((n, d)), np.empty((d, d)), np.zeros((d, d))
+    # W = H P and K are held as rows of n, so that the inner loops run along memory.
+    W, K, L, u = np.zeros((d, n)), np.empty((d, n)), np.empty((d, d)), np.empty(d)
     for a in range(d):
         for j in range(n):
             h = H[a, j]
             if h != 0.0:
                 for i in range(n):
-                    ph[i, a] += P[i, j] * h
-    for a in range(d):
-        for b in range(d):
-            S[a, b] = R[a, b]
-            for j in range(n):
-                S[a, b] += H[a, j] * ph[j, b]
-    for a in range(d):  # Cholesky
-        for b in range(a + 1):
-            s = S[a, b]
-            for k in range(b):
-                s -= L[a, k] * L[b, k]
-            if a == b:
-                if not s > 0.0:
-                    return math.inf
-                L[a, a] = math.sqrt(s)
-            else:
-                L[a, b] = s / L[b, b]
-    u = np.empty(d)
+                    W[a, i] += h * P[j, i]
     nis = 0.0
     for a in range(d):
+        # Cholesky factor of S = H P H^T + R, its diagonal inverted, and the whitened innovation.
+        for b in range(a + 1):
+            s = R[a, b]
+            for j in range(n):
+                s += H[a, j] * W[b, j]
+            for k in range(b):
+                s -= L[a, k] * L[b, k]
+            if b < a:
+                L[a, b] = s * L[b, b]
+            elif s > 0.0:
+                L[a, a] = 1.0 / math.sqrt(s)
+            else:
+                return math.inf
         s = y[a]
         for k in range(a):
             s -= L[a, k] * u[k]
-        u[a] = s / L[a, a]
+        u[a] = s * L[a, a]
         nis += u[a] * u[a]
     if not nis <= gate:
         return nis
-    K = np.empty((n, d))
     for i in range(n):
         for a in range(d):
-            s = ph[i, a]
+            s = W[a, i]
             for k in range(a):
-                s -= L[a, k] * K[i, k]
-            K[i, a] = s / L[a, a]
-        for a in range(d - 1, -1, -1):
-            s = K[i, a]
-            for k in range(a + 1, d):
-                s -= L[k, a] * K[i, k]
-            K[i, a] = s / L[a, a]
+                s -= L[a, k] * K[k, i]
+            K[a, i] = s * L[a, a]
         dx[i] = 0.0
-        for a in range(d):
-            dx[i] += K[i, a] * y[a]
+        for a in range(d - 1, -1, -1):
+            s = K[a, i]
+            for k in range(a + 1, d):
+                s -= L[k, a] * K[k, i]
+            K[a, i] = s * L[a, a]
+            dx[i] += K[a, i] * y[a]
     for i in range(n):
-        for j in range(n):
-            for a in range(d):
-                P[i, j] -= K[i, a] * ph[j, a]
-    # That is (I - K H) P; what follows is times (I - K H)^T, plus K R K^T.
-    for i in range(n):
         for a in range(d):
+            gain = K[a, i]
+            for j in range(n):
+                P[i, j] -= gain * W[a, j]
+    # That was (I - K H) P; now times (I - K H)^T, plus K R K^T.
+    for a in range(d):
+        for i in range(n):
             s = 0.0
             for j in range(n):
                 s += P[i, j] * H[a, j]
             for b in range(d):
-                s -= K[i, b] * R[b, a]
-            ph[i, a] = s
+                s -= K[b, i] * R[b, a]
+            W[a, i] = s
     for i in range(n):
         for j in range(i + 1):
-            s, t = P[i, j], P[j, i]
+            s = P[i, j] + P[j, i]
             for a in range(d):
-                s -= ph[i, a] * K[j, a]
-                t -= ph[j, a] * K[i, a]
-            P[i, j] = P[j, i] = 0.5 * (s + t)
+                s -= W[a, i] * K[a, j] + W[a, j] * K[a, i]
+            P[i, j] = P[j, i] = 0.5 * s
     return nis
 
 
