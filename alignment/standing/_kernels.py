@@ -27,20 +27,22 @@ PAPER_LITERAL, CLOSED_LOOP, RESIDUAL = range(3)
 CONSTANT_NAMES = (
     "earth_north", "earth_down", "gravity", "radius", "tan_latitude", "gyro_var", "accel_var", "gyro_flicker_var",
     "accel_flicker_var", "bias_time", "scale_var", "zero_velocity_var", "zero_velocity_period", "robust", "adaptive",
-    "turning_allowed", "largest_rate", "largest_velocity", "feedback_period", "mended", "variant", "horizon",
-    "weight_ratio", "gain_period")
+    "turning_allowed", "largest_rate", "largest_velocity", "largest_drift", "feedback_period", "mended",
+    "variant", "horizon", "weight_ratio", "gain_period")
 (C_EARTH_NORTH, C_EARTH_DOWN, C_GRAVITY, C_RADIUS, C_TAN_LATITUDE, C_GYRO_VAR, C_ACCEL_VAR, C_GYRO_FLICKER_VAR,
  C_ACCEL_FLICKER_VAR, C_BIAS_TIME, C_SCALE_VAR, C_ZERO_VAR, C_ZERO_PERIOD, C_ROBUST, C_ADAPTIVE,
- C_TURNING_ALLOWED, C_LARGEST_RATE, C_LARGEST_VELOCITY, C_FEEDBACK_PERIOD, C_MENDED, C_VARIANT, C_HORIZON,
- C_WEIGHT_RATIO, C_GAIN_PERIOD) = range(len(CONSTANT_NAMES))
+ C_TURNING_ALLOWED, C_LARGEST_RATE, C_LARGEST_VELOCITY, C_LARGEST_DRIFT, C_FEEDBACK_PERIOD, C_MENDED,
+ C_VARIANT, C_HORIZON, C_WEIGHT_RATIO, C_GAIN_PERIOD) = range(len(CONSTANT_NAMES))
 
 # Mean of a filter: velocity, biases, then for the error model its state and the one before it, each up to ten.
 (M_V, M_BG, M_BA, M_X, M_BEFORE, M_FORCE, M_FORCE_BEFORE, M_ERROR, M_SIZE) = (0, 3, 6, 9, 19, 29, 32, 35, 40)
 
 # Quality of a filter, kept beside the mean.
 (Q_TIME, Q_SINCE_UPDATE, Q_SINCE_FEEDBACK, Q_SINCE_GAIN, Q_SCALE, Q_NIS, Q_BLOCK, Q_BLOCK_VAR, Q_BLOCK_COUNT,
- Q_REJECTED, Q_ACCEPTED, Q_MOVING, Q_TURN, Q_EAST, Q_COST, Q_ALARM, Q_STARTED, Q_SIZE) = (
-    0, 1, 2, 3, 4, 5, 6, 9, 12, 13, 14, 15, 16, 17, 20, 21, 22, 23)
+ Q_REJECTED, Q_ACCEPTED, Q_MOVING, Q_TURN, Q_EAST, Q_COST, Q_ALARM, Q_STARTED, Q_SWING, Q_REFERENCE,
+ Q_TURNED, Q_SIZE) = (
+    0, 1, 2, 3, 4, 5, 6, 9, 12, 13, 14, 15, 16, 17, 20, 21, 22, 23, 24,
+    27, 28)
 
 # A row of output: quaternion, upper triangle of the covariance of the small rotation in navigation axes, velocity,
 # biases, their variances, normalised innovation squared, IPA cost J*.
@@ -53,12 +55,14 @@ CONSTANT_NAMES = (
 NOTHING, MOVED, STANDS, ALARM = range(4)  # what a run stopped for
 
 FLICKER = 2.0  # growth of a bias variance with the logarithm of time, in squares of the Allan deviation floor
+AFTER_TURN = 10.0  # s that count as passed at the end of a turn
 HUBER = 2.0  # standard deviations within which a zero velocity has its full weight
 GATE = 8.0  # standard deviations beyond which it is no zero velocity
 BLOCK = 10  # zero velocities whose mean innovation tells what noise the slow motion of the vehicle makes
 MEMORY = 20.0  # blocks over which that is remembered
 LARGEST_SCALE = 400.0  # of the zero-velocity variance, beyond which the attitude itself is doubted
-REJECTION_TIME = 1.0  # s of rejected zero velocities that count as motion, or of accepted ones that end it
+REJECTION_TIME = 1.0  # s of rejected zero velocities that count as motion
+STANDING_TIME = 2.0  # s of zero velocities that end it
 
 
 # --- shared -----------------------------------------------------------------------------------------
@@ -186,28 +190,39 @@ def _quaternion(r, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _judge(nis, dt, moving, c, q):
-    """Return the weight of a zero velocity, 0 for none, and an event; keep count of motion."""
+def _judge(nis, dt, moving, velocity, c, q):
+    """Return the weight of a zero velocity, 0 for none, and an event; keep count of motion.
+
+    What has moved stands again once its velocity has stayed within the gate, and steady, for some time: a vehicle
+    that brakes passes through the gate, too.
+    """
     root = math.sqrt(nis / 3.0)
-    weight = 1.0
     if moving or (c[C_ROBUST] != 0.0 and root > GATE):
-        weight = 0.0
-    elif c[C_ROBUST] != 0.0 and root > HUBER:
-        weight = HUBER / root
-    if weight == 0.0:
         q[Q_REJECTED] += dt
         q[Q_ACCEPTED] = 0.0
         if q[Q_REJECTED] >= REJECTION_TIME and q[Q_MOVING] == 0.0:
             q[Q_MOVING] = 1.0
-            return weight, MOVED
-        return weight, NOTHING
+            return 0.0, MOVED
+        return 0.0, NOTHING
+    if q[Q_MOVING] != 0.0:
+        change2 = 0.0
+        for i in range(len(velocity)):
+            if q[Q_ACCEPTED] == 0.0:
+                q[Q_REFERENCE + i] = velocity[i]
+            change2 += (velocity[i] - q[Q_REFERENCE + i]) ** 2
+        if change2 > (0.5 * c[C_LARGEST_VELOCITY] + c[C_LARGEST_DRIFT] * q[Q_ACCEPTED]) ** 2:
+            q[Q_ACCEPTED] = 0.0
+            return 0.0, NOTHING
     q[Q_ACCEPTED] += dt
-    if q[Q_ACCEPTED] >= REJECTION_TIME:
+    event = NOTHING
+    if q[Q_ACCEPTED] >= (REJECTION_TIME if q[Q_MOVING] == 0.0 else STANDING_TIME):
         q[Q_REJECTED] = 0.0
         if q[Q_MOVING] != 0.0:
             q[Q_MOVING] = 0.0
-            return weight, STANDS
-    return weight, NOTHING
+            event = STANDS
+    if q[Q_MOVING] != 0.0:
+        return 0.0, NOTHING
+    return (HUBER / root if c[C_ROBUST] != 0.0 and root > HUBER else 1.0), event
 
 
 @njit(cache=True, error_model="numpy")
@@ -362,15 +377,13 @@ def run_coarse(c, sums, bias, steps):
 
 
 @njit(cache=True, error_model="numpy")
-def group_step(model, c, R, J, m, step, turn, half, after, F, H):
+def group_step(model, c, R, m, step, turn, half, after, F, H):
     """Carry attitude and velocity over a step and fill transition F and measurement rows H.
 
-    J is the attitude at which the biases' columns are taken, carried along too. As long as the heading swings
-    it must not be R: biases and tilt that cannot be told apart would seem to be.
-
     The error is the small rotation phi, R^ = exp(phi x) R in navigation axes, then rho (riekf: v^ = exp(phi x) v
-    + rho; mekf: v^ = v + rho), then b^ - b of gyro and accelerometer. Fills row 0 of ``after`` (4, 3) with the mean
-    velocity over the step.
+    + rho; mekf: v^ = v + rho), then R^ (b^ - b) of gyro and accelerometer: in navigation axes, where the equations of a
+    vehicle at rest do not know its heading, and tilt and biases cannot seem observable because the heading swings.
+    Fills row 0 of ``after`` (7, 3) with the mean velocity over the step.
     """
     t, g = step[STEP_DT], c[C_GRAVITY]
     wx = c[C_EARTH_NORTH] + m[M_V + 1] / c[C_RADIUS]
@@ -428,24 +441,27 @@ def group_step(model, c, R, J, m, step, turn, half, after, F, H):
     F[0, 4] -= t / c[C_RADIUS]
     F[1, 3] += t / c[C_RADIUS]
     F[2, 4] += t * c[C_TAN_LATITUDE] / c[C_RADIUS]
-    _multiply(half, turn, 3, R)
-    _multiply(J, turn, 3, half)
+    # The biases turn with the body: by half a step on average, by a whole one at its end.
+    if n == 12:
+        for i in range(3):
+            H[i, 9 + i] = 0.5 * t
+            for j in range(3):
+                total = half[i, 0] * R[j, 0] + half[i, 1] * R[j, 1] + half[i, 2] * R[j, 2]
+                F[i, 6 + j] = F[3 + i, 9 + j] = -t * total
+                # Half a step of the velocity error that the rate error makes meanwhile.
+                if i == 0:
+                    F[4, 6 + j] = -0.5 * t * t * g * total
+                elif i == 1:
+                    F[3, 6 + j] = 0.5 * t * t * g * total
+    _multiply(half, turn, 3, after[4:7])
+    _rotation(-t * wx, -t * wy, -t * wz, turn)
+    _multiply(turn, after[4:7], 3, half)
     if n == 12:
         for i in range(3):
             for j in range(3):
-                F[i, 6 + j] = F[3 + i, 9 + j] = -t * half[i, j]
-                H[i, 9 + j] = 0.5 * t * half[i, j]
-        for j in range(3):
-            # Half a step of the velocity error that the rate error makes meanwhile.
-            F[3, 6 + j] = 0.5 * t * t * g * half[1, j]
-            F[4, 6 + j] = -0.5 * t * t * g * half[0, j]
-
-    _multiply(half, turn, 3, J)
-    _rotation(-t * wx, -t * wy, -t * wz, turn)
-    _multiply(turn, R, 3, half)
+                total = half[i, 0] * R[j, 0] + half[i, 1] * R[j, 1] + half[i, 2] * R[j, 2]
+                F[6 + i, 6 + j] = F[9 + i, 9 + j] = total
     _copy(half, R)
-    _multiply(turn, J, 3, half)
-    _copy(half, J)
 
 
 @njit(cache=True, error_model="numpy")
@@ -460,15 +476,12 @@ def _add_cross(F, i, j, x, y, z):
 
 
 @njit(cache=True, error_model="numpy")
-def _correct_group(model, R, J, hold, m, delta, turn, scratch):
-    """Take the estimated error off attitude, velocity and biases; off J too unless it is held."""
+def _correct_group(model, R, m, delta, turn, scratch):
+    """Take the estimated error off attitude, velocity and biases."""
     x, y, z = -delta[0], -delta[1], -delta[2]
     _rotation(x, y, z, turn)
     _multiply(turn, R, 3, scratch)
     _copy(scratch, R)
-    if not hold:
-        _multiply(turn, J, 3, scratch)
-        _copy(scratch, J)
     if model == MEKF:
         for i in range(3):
             m[M_V + i] -= delta[3 + i]
@@ -484,22 +497,24 @@ def _correct_group(model, R, J, hold, m, delta, turn, scratch):
         m[M_V + 1] -= v + a * py + b * qy
         m[M_V + 2] -= w + a * pz + b * qz
     if model != RIEKF6:
-        for i in range(6):
-            m[M_BG + i] -= delta[6 + i]
+        for i in range(3):
+            m[M_BG + i] -= R[0, i] * delta[6] + R[1, i] * delta[7] + R[2, i] * delta[8]
+            m[M_BA + i] -= R[0, i] * delta[9] + R[1, i] * delta[10] + R[2, i] * delta[11]
 
 
 @njit(cache=True, error_model="numpy")
 def _drift(c, q, t):
     """Return by how much the variance of a bias grows over t, in squares of its instability.
 
-    1/f noise wanders by about the same amount in every octave of time, so the variance grows as its logarithm.
+    1/f noise wanders by about the same amount in every octave of time, so the variance grows as its logarithm. What a
+    turn makes visible is measured against the time since then.
     """
-    return FLICKER * t / min(max(q[Q_TIME], 1.0), c[C_BIAS_TIME])
+    return FLICKER * t / min(max(q[Q_TIME] - q[Q_TURNED], 1.0), c[C_BIAS_TIME])
 
 
 @njit(cache=True, error_model="numpy")
-def _group_noise(model, c, step, half_axes, q, P):
-    """Add the noise of a step to P; rotation adds what the gyros' scale factors are off."""
+def _group_noise(model, c, step, q, P):
+    """Add the noise of a step to P; a turn adds what the gyros' scale factors and axes are off."""
     t = step[STEP_DT]
     for i in range(3):
         P[i, i] += t * c[C_GYRO_VAR]
@@ -511,22 +526,20 @@ def _group_noise(model, c, step, half_axes, q, P):
             P[9 + i, 9 + i] += drift * c[C_ACCEL_FLICKER_VAR]
     angle2 = step[STEP_DTHETA] ** 2 + step[STEP_DTHETA + 1] ** 2 + step[STEP_DTHETA + 2] ** 2
     if angle2 < (c[C_LARGEST_RATE] * t) ** 2:
-        q[Q_TURN] = 0.0
+        if q[Q_TURN] > 0.0:
+            q[Q_TURN], q[Q_TURNED] = 0.0, max(q[Q_TIME] - AFTER_TURN, 0.0)
         return
-    # Of a turn by an angle, scale * angle is the error, so its variance grows as the angle squared.
+    # Of a turn by an angle, scale * angle is the error, so its variance grows as the angle squared; misaligned axes
+    # do about the same across the turn's axis.
     angle = math.sqrt(angle2)
-    spread = c[C_SCALE_VAR] * (2.0 * q[Q_TURN] + angle) / angle
+    spread = c[C_SCALE_VAR] * (2.0 * q[Q_TURN] + angle) * angle
     q[Q_TURN] += angle
     for i in range(3):
-        a = (half_axes[i, 0] * step[STEP_DTHETA] + half_axes[i, 1] * step[STEP_DTHETA + 1]
-             + half_axes[i, 2] * step[STEP_DTHETA + 2])
-        for j in range(3):
-            P[i, j] += spread * a * (half_axes[j, 0] * step[STEP_DTHETA] + half_axes[j, 1] * step[STEP_DTHETA + 1]
-                                     + half_axes[j, 2] * step[STEP_DTHETA + 2])
+        P[i, i] += spread
 
 
 @njit(cache=True, error_model="numpy")
-def run_group(model, c, R, J, hold, m, P, q, steps, rows):
+def run_group(model, c, R, m, P, q, steps, rows):
     """Run riekf6, riekf12 or mekf over steps; return how many were used and the event that stopped it.
 
     Parameters
@@ -534,10 +547,6 @@ def run_group(model, c, R, J, hold, m, P, q, steps, rows):
     model : int
     c : constants
     R : (3, 3) float64, dcm_nb
-    J : (3, 3) float64
-        Attitude of :func:`group_step`.
-    hold : bool
-        Whether J keeps free of corrections: while the filter sees known seconds again.
     m : (M_SIZE,) float64
     P : (12, 12) float64
     q : (Q_SIZE,) float64
@@ -547,16 +556,16 @@ def run_group(model, c, R, J, hold, m, P, q, steps, rows):
     """
     n = 6 if model == RIEKF6 else 12
     F, H, scratch = np.empty((12, 12)), np.empty((3, 12)), np.empty((12, 12))
-    turn, half, after = np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3))
+    turn, half, after = np.empty((3, 3)), np.empty((3, 3)), np.empty((7, 3))
     delta, gain, s = np.empty(12), np.empty(12), np.empty(3)
     for k in range(len(steps)):
         step = steps[k]
         t = step[STEP_DT]
         for i in range(3):
             q[Q_EAST + i] += t * R[1, i]
-        group_step(model, c, R, J, m, step, turn, half, after, F, H)
+        group_step(model, c, R, m, step, turn, half, after, F, H)
         _carry(P, F, n, scratch)
-        _group_noise(model, c, step, R, q, P)
+        _group_noise(model, c, step, q, P)
         q[Q_TIME] += t
 
         variance = c[C_ZERO_VAR] * q[Q_SCALE]
@@ -571,7 +580,7 @@ def run_group(model, c, R, J, hold, m, P, q, steps, rows):
         turning = rate2 > c[C_LARGEST_RATE] ** 2 and c[C_TURNING_ALLOWED] == 0.0
         too_fast = speed2 > c[C_LARGEST_VELOCITY] ** 2 + 9.0 * (s[0] + s[1] + s[2])
         moving = step[STEP_MOVING] != 0.0 or (c[C_ROBUST] != 0.0 and (turning or too_fast))
-        weight, event = _judge(nis, t, moving, c, q)
+        weight, event = _judge(nis, t, moving, after[0], c, q)
         if weight > 0.0:
             for i in range(n):
                 delta[i] = 0.0
@@ -579,9 +588,9 @@ def run_group(model, c, R, J, hold, m, P, q, steps, rows):
                 _update(P, H[i], n, after[0, i], variance / weight, gain, delta)
             alarm = _adapt(after[0], s, 3, c, q)
             event = alarm if alarm != NOTHING else event
-            _correct_group(model, R, J, hold, m, delta, turn, half)
+            _correct_group(model, R, m, delta, turn, half)
             _orthonormalise(R)
-            _orthonormalise(J)
+            q[Q_SWING] += delta[2]
         if len(rows) > 0:
             group_row(model, R, m, P, q, rows[k])
         if event != NOTHING:
@@ -591,17 +600,22 @@ def run_group(model, c, R, J, hold, m, P, q, steps, rows):
 
 @njit(cache=True, error_model="numpy")
 def group_row(model, R, m, P, q, row):
-    """Fill a row of output."""
+    """Fill a row of output; biases and their variances in body axes."""
     _quaternion(R, row)
-    k = OUT_COV
+    at = OUT_COV
     for i in range(3):
         for j in range(i, 3):
-            row[k] = P[i, j]
-            k += 1
+            row[at] = P[i, j]
+            at += 1
     for i in range(3):
         row[OUT_V + i], row[OUT_BG + i], row[OUT_BA + i] = m[M_V + i], m[M_BG + i], m[M_BA + i]
-        row[OUT_BG_VAR + i] = P[6 + i, 6 + i] if model != RIEKF6 else np.nan
-        row[OUT_BA_VAR + i] = P[9 + i, 9 + i] if model != RIEKF6 else np.nan
+        gyro_var = accel_var = 0.0
+        for j in range(3):
+            for k in range(3):
+                gyro_var += R[j, i] * P[6 + j, 6 + k] * R[k, i]
+                accel_var += R[j, i] * P[9 + j, 9 + k] * R[k, i]
+        row[OUT_BG_VAR + i] = gyro_var if model != RIEKF6 else np.nan
+        row[OUT_BA_VAR + i] = accel_var if model != RIEKF6 else np.nan
     row[OUT_NIS], row[OUT_COST] = q[Q_NIS] * q[Q_SCALE], np.nan
 
 
@@ -988,7 +1002,7 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
                 z[i] = m[M_V + i] - x[i]
                 s[i] = P[i, i] + variance
                 nis += 1.5 * z[i] ** 2 / s[i]
-            weight, event = _judge(nis, q[Q_SINCE_UPDATE], not standing, c, q)
+            weight, event = _judge(nis, q[Q_SINCE_UPDATE], not standing, z, c, q)
             if weight > 0.0:
                 for i in range(n):
                     delta[i] = 0.0

@@ -26,6 +26,7 @@ from alignment.standing.coarse import (
 )
 from alignment.standing.filters import GROUP_FILTERS, Filter, heading_covariance
 from alignment.standing.params import SMALLEST_COS_LATITUDE
+from inertial.earth import EARTH_RATE
 from inertial.recording import ImuSeries
 from inertial.rotation import (
     dcm_from_quaternion,
@@ -38,12 +39,14 @@ from inertial.rotation import (
 _LONGEST_GAP = 1.0  # s without a sample, after which the alignment starts anew
 _STILL_TIME = 1.0  # s that a vehicle must stand before the coarse alignment begins
 _PREVIEW = 2.0  # s of the coarse alignment from which there is a result
+_LEVEL_TIME = 5.0  # s that the level is a mean of where the latitude is not known: the Earth turns on meanwhile
 _LARGEST_FORCE_ERROR = 0.05  # of gravity: more is motion, or wrong units
 _STANDING_AGAIN = 10.0  # s that sensors must look still, while the filter's velocity says otherwise
 _BLIND_TILT_STD = 0.1  # rad, more than any coarse alignment is off
 _REPEAT_STEPS = 12000  # remembered steps, at most; by then the heading is what it will be
 _REPEAT_CHANGE = 0.02  # rad of heading, beyond which it is worth while to make the equations linear anew
 _CHECKPOINT_TIME = 5.0  # s; motion takes back the zero velocities of the last one or two
+_LARGEST_SWING = 0.2  # rad that the heading has been corrected by, after which that does not wait
 _REPEATS = 4  # at most, each time
 _UNKNOWN = math.radians(30.0)  # spread of a heading that is not worth believing
 _ANOTHER_SCALE = 0.02  # of gravity, by which the mean force may differ from it
@@ -221,7 +224,8 @@ class StandingAligner:
     @property
     def input_error(self):
         """What is wrong with the samples, as a unit or a scale; empty when they may be of a vehicle on the Earth."""
-        allowed = _LARGEST_FORCE_ERROR if self._filter is None else _ANOTHER_SCALE
+        allowed = _LARGEST_FORCE_ERROR if self._filter is None else \
+            _ANOTHER_SCALE + 3 * self.params.accel_bias_spread / self.params.local_gravity
         return f"the accelerometers read {explain_scale(self._scale)}" if abs(self._scale - 1) > allowed else ""
 
     @property
@@ -258,7 +262,7 @@ class StandingAligner:
             stamp_ns, gyro_b, accel_b = stamp_ns[1:], gyro_b[1:], accel_b[1:]
         dt = np.diff(stamp_ns, prepend=self._stamp_ns) * 1e-9
         gaps = np.flatnonzero(dt > _LONGEST_GAP)
-        edges = [0, *gaps, len(dt)]
+        edges = sorted({0, *gaps.tolist(), len(dt)})
         for start, end in zip(edges[:-1], edges[1:], strict=True):
             if start in gaps:
                 changed |= self._skip_gap(dt[start])
@@ -331,7 +335,7 @@ class StandingAligner:
         self._biases, self._bias_covariance = biases, bias_covariance
         self._moved, self._still_time, self._scale = False, 0.0, 1.0
         self._sums = np.zeros(kernels.O_SIZE)
-        self._force = np.zeros(3)
+        self._force, self._turn = np.zeros(3), np.zeros(3)
         self._steps = []
 
     def _approach(self, step):
@@ -347,14 +351,23 @@ class StandingAligner:
             return had
         self._still_time += step[kernels.STEP_DT]
         if self._still_time < _STILL_TIME:
+            self._turn += step[kernels.STEP_DTHETA:kernels.STEP_DVEL]
             return False
         self._moved = False
+        rate = self._turn / self._still_time
+        if self._biases is None and self.params.gyro_bias_spread > EARTH_RATE \
+                and np.linalg.norm(rate) < self.params.largest_rate:
+            # A bias that the Earth rate drowns in is known best from the first second.
+            self._biases = np.concatenate([rate, np.zeros(3)])
         biases = np.zeros(6) if self._biases is None else self._biases
         kernels.run_coarse(self._constants, self._sums, biases, step[None])
-        self._steps.append(step.copy())
         time = self._sums[kernels.O_TIME]
-        if time >= self.params.coarse_window and not self._no_latitude:
-            self._start_filter()
+        if not self._no_latitude:
+            self._steps.append(step.copy())
+            if time >= self.params.coarse_window:
+                self._start_filter()
+        elif time > _LEVEL_TIME:
+            self._sums[kernels.O_ALPHA:kernels.O_BETA] *= max(1 - step[kernels.STEP_DT] / _LEVEL_TIME, 0.0)
         return time >= _PREVIEW
 
     def _looks_still(self, step):
@@ -370,9 +383,13 @@ class StandingAligner:
         """Whether the force of the last second, in axes that do not turn, differs from that of all the time."""
         time, dt = self._sums[kernels.O_TIME], step[kernels.STEP_DT]
         force = self._sums[:kernels.O_TIME].reshape(3, 3) @ step[kernels.STEP_DVEL:kernels.STEP_MEAN_DVEL] / dt
-        mean = self._sums[kernels.O_ALPHA:kernels.O_BETA] / time
+        mean = self._sums[kernels.O_ALPHA:kernels.O_BETA] / (min(time, _LEVEL_TIME) if self._no_latitude else time)
         self._force += (force - self._force) * (min(dt / _STILL_TIME, 1.0) if self._force.any() else 1.0)
-        return np.linalg.norm(self._force - mean) * _STILL_TIME > self.params.largest_velocity + 0.01 * time ** 0.5
+        # The Earth turns, and so do axes carried by gyros with biases.
+        rate = EARTH_RATE + (0.0 if self._biases is not None else 3 * self.params.gyro_bias_spread) \
+            + 3 * self.params.gyro_noise_density
+        allowed = self.params.largest_velocity / _STILL_TIME + self.params.local_gravity * rate * time
+        return np.linalg.norm(self._force - mean) > allowed
 
     def _start_filter(self):
         coarse = align_by_gravity(self._sums, self.params)
@@ -387,8 +404,8 @@ class StandingAligner:
     def _make_filter(self, coarse):
         if self._by_steps:
             return self._blind_filter(coarse.start_q_nb_wxyz)
-        found = Filter(self._name, self.params, coarse.q_nb_wxyz, coarse.covariance, self._biases,
-                       self._bias_covariance)
+        biases = None if self._name in _NO_BIAS else self._biases
+        found = Filter(self._name, self.params, coarse.q_nb_wxyz, coarse.covariance, biases, self._bias_covariance)
         found.correlate_biases(bias_sensitivity(self.params))
         found.q[kernels.Q_TIME] = coarse.time
         found.q[kernels.Q_EAST:kernels.Q_COST] = coarse.time * found.R[1]
@@ -415,11 +432,15 @@ class StandingAligner:
         if event == kernels.MOVED:
             self._go_back()
         self._heed(event, steps[used - 1])
-        if self._filter is found and self._repeat_at and len(self._steps) >= self._repeat_at:
-            self._repeat_at = 2 * self._repeat_at if 2 * self._repeat_at <= _REPEAT_STEPS else 0
+        if self._filter is not found:
+            return used
+        due = self._repeat_at and len(self._steps) >= self._repeat_at
+        swung = self._repeat_at and len(since) >= between and abs(found.q[kernels.Q_SWING]) > _LARGEST_SWING
+        if due or swung:
+            if due:
+                self._repeat_at = 2 * self._repeat_at if 2 * self._repeat_at <= _REPEAT_STEPS else 0
             self._run_again(self._first_attitude())
-            found = self._filter
-            self._checkpoints = [(found.snapshot(), [])] * 2
+            self._checkpoints = [(self._filter.snapshot(), [])] * 2
         elif len(since) >= between:
             self._checkpoints = [self._checkpoints[-1], (found.snapshot(), [])]
         return used
@@ -477,7 +498,7 @@ class StandingAligner:
     def _known_biases(self):
         if self._filter is None or self._name in _NO_BIAS or not self._filter.in_steps:
             return self._biases, self._bias_covariance
-        return self._filter.m[kernels.M_BG:kernels.M_X].copy(), self._filter.P[6:, 6:].copy()
+        return self._filter.m[kernels.M_BG:kernels.M_X].copy(), self._filter.bias_covariance()
 
     def _run_again(self, q_start):
         """Run the filter over all remembered steps from ever better first attitudes."""
@@ -487,8 +508,9 @@ class StandingAligner:
                 return
             self._filter, self._linearised_at, used = self._blind_filter(q_start), q_start, 0
             while used < len(steps):
-                used += self._filter.run_steps(steps[used:], np.empty((0, kernels.OUT_SIZE)), hold=True)[0]
+                used += self._filter.run_steps(steps[used:], np.empty((0, kernels.OUT_SIZE)))[0]
             q_start = self._first_attitude()
+            self._filter.q[kernels.Q_SWING] = 0.0
 
     def _apart(self, q_start):
         return np.linalg.norm(quaternion_log(quaternion_multiply(

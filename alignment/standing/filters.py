@@ -2,12 +2,14 @@
 
 Two families share one covariance arithmetic. riekf6, riekf12 and mekf carry an attitude, a velocity (and biases)
 and correct them at every zero velocity. With ``dcm^ = exp(phi x) dcm``, the invariant error of the velocity
-``rho = v^ - exp(phi x) v`` and rates of Earth and transport ``w``::
+``rho = v^ - exp(phi x) v``, the biases' errors in navigation axes ``beta = dcm^ (b^ - b)`` and rates of Earth and
+transport ``w``::
 
-    phi' = -w x phi - dcm dbg        rho' = g x phi - (2 wie + wen) x rho - dcm dba        (riekf)
-                                     dv'  = -(dcm f) x phi - (2 wie + wen) x dv - dcm dba   (mekf)
+    phi' = -w x phi - beta_g        rho' = g x phi - (2 wie + wen) x rho - beta_a         (riekf)
+                                    dv'  = -(dcm f) x phi - (2 wie + wen) x dv - beta_a    (mekf)
 
-so the invariant filter's gain does not depend on how wrong the heading is (A. Barrau, S. Bonnabel, The invariant
+so at rest the invariant filter's gain does not depend on how wrong the heading is, and what cannot be observed, tilt
+beside an accelerometer's bias, does not seem to be because the heading swings (A. Barrau, S. Bonnabel, The invariant
 extended Kalman filter as a stable observer, IEEE Trans. Automatic Control 62(4), 2017). ekf5, ekf10, ukf10 and
 ipekf estimate the error of a strapdown, the computed frame n', by the nonlinear model of N. Ghahramani and
 H. Majed Alhassan's paper on the IPEKF (appendix A, mended), ``C_n^n' = (I - phi_h x) Rz(phi_D)``; its measurement
@@ -133,7 +135,6 @@ class Filter:
         self.in_steps = name in GROUP_FILTERS
         self.constants = params.constants()
         self.R = dcm_from_quaternion(np.asarray(q_nb_wxyz, dtype=float))
-        self.J = self.R.copy()
         self.m = np.zeros(kernels.M_SIZE)
         self.P = np.zeros((12, 12))
         self.q = np.zeros(kernels.Q_SIZE)
@@ -145,7 +146,7 @@ class Filter:
         if self.in_steps:
             self.P[:3, :3] = covariance
             self.P[3:6, 3:6] = VELOCITY_STD ** 2 * np.eye(3)
-            self.P[6:, 6:] = bias_covariance
+            self.P[6:, 6:] = turned_biases(bias_covariance, self.R)
         else:
             self.P[:2, :2] = VELOCITY_STD ** 2 * np.eye(2)
             self.P[2:5, 2:5] = covariance
@@ -153,22 +154,22 @@ class Filter:
         p = params.horizon if name == "ipekf" else 1
         self.ipa = (np.zeros((p, 2, 5)), np.zeros((5, 2 * p)), np.zeros((2 * p, 2 * p)), np.zeros(2 * p), np.zeros(5))
 
-    def run_steps(self, steps, rows, hold=False):
-        """Use steps of :func:`alignment.standing._kernels.reduce_samples`; return how many, and the event.
-
-        ``hold`` keeps the equations linear about the first attitude instead of the present one.
-        """
-        return kernels.run_group(self.model, self.constants, self.R, self.J, hold, self.m, self.P, self.q, steps,
-                                 rows)
+    def run_steps(self, steps, rows):
+        """Use steps of :func:`alignment.standing._kernels.reduce_samples`; return how many, and the event."""
+        return kernels.run_group(self.model, self.constants, self.R, self.m, self.P, self.q, steps, rows)
 
     def snapshot(self):
         """Return a copy of the state, for :meth:`restore`."""
-        return tuple(array.copy() for array in (self.R, self.J, self.m, self.P, self.q))
+        return tuple(array.copy() for array in (self.R, self.m, self.P, self.q))
 
     def restore(self, snapshot):
         """Go back to a state."""
-        for array, kept in zip((self.R, self.J, self.m, self.P, self.q), snapshot, strict=True):
+        for array, kept in zip((self.R, self.m, self.P, self.q), snapshot, strict=True):
             array[:] = kept
+
+    def bias_covariance(self):
+        """Return the covariance (6, 6) of gyro and accelerometer bias in body axes, of riekf12 and mekf."""
+        return turned_biases(self.P[6:, 6:], self.R.T)
 
     def run_samples(self, dt, gyro_b, accel_b, standing, every, rows):
         """Use samples; return how many, and the event that stopped it."""
@@ -204,6 +205,12 @@ class Filter:
         fill = kernels.group_row if self.in_steps else kernels.error_model_row
         fill(self.model, self.R, self.m, self.P, self.q, row)
         return row
+
+
+def turned_biases(covariance, dcm):
+    """Return the covariance (6, 6) of the biases in other axes."""
+    T = np.kron(np.eye(2), dcm)
+    return T @ covariance @ T.T
 
 
 def bias_priors(params, dcm_nb):

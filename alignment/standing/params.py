@@ -22,6 +22,7 @@ VARIANTS = {"paper_literal": kernels.PAPER_LITERAL, "closed_loop": kernels.CLOSE
 JACOBIANS = ("mended", "paper")
 # Near a pole the Earth rate has no horizontal part to find north by.
 SMALLEST_COS_LATITUDE = 1e-2
+_SLOW_BRAKING = 0.05  # m/s^2, gentler than vehicles come to rest
 _DEG = math.pi / 180
 _DEG_PER_HOUR = _DEG / 3600
 _TURNTABLE = {field.name: field for field in dataclasses.fields(AlignmentParams)}
@@ -116,6 +117,7 @@ class StandingParams:
             "gyro_flicker_var": self.gyro_bias_instability ** 2,
             "accel_flicker_var": self.accel_bias_instability ** 2,
             "scale_var": self.scale_std ** 2, "zero_velocity_var": self.zero_velocity_std ** 2,
+            "largest_drift": _SLOW_BRAKING + 3 * self.accel_bias_spread,
             "turning_allowed": self.zero_velocity_while_turning, "mended": self.jacobian == "mended",
             "variant": VARIANTS[self.variant]}
         return np.array([float(values[name] if name in values else getattr(self, name))

@@ -1,5 +1,6 @@
 """The aligner of a standing vehicle, sample by sample."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +10,16 @@ from alignment.standing.aligner import StandingAligner
 from alignment.standing.params import StandingParams
 from inertial.parked_scenarios import GRADES, simulate_parked
 from inertial.recording import ImuSeries
+from inertial.rotation import dcm_nb_from_euler
 from inertial.table_scenarios import LATITUDE
 
 RATE = 50.0  # Hz
+SIGMAS = 4.0  # outside once in 16 000
+SEEDS = 12
+MEAN_SQUARE = (0.25, 2.4)  # of z over so many seeds: outside once in a thousand
+LEVEL_LAG = 4e-4  # rad that the Earth turns by in the five seconds of a level without latitude
+SAME = 1e-12  # rad: the same arithmetic in blocks of other lengths
+COARSE = {"coarse_window": 20.0}
 
 
 def params_of(grade, **changes):
@@ -46,3 +54,123 @@ def test_a_push_into_steady_motion_is_survived(still, push):
     aligner = StandingAligner(params_of("navigation", coarse_window=6.0))
     results = [result for _, result in aligner.run(pushed(still, *push), period=0.1)]
     assert results[-1] is not None and np.isfinite(results[-1].heading)
+
+
+def test_default_chain_finds_north_within_its_sigma(made_up):
+    """From any heading, navigation grade, in 120 s: aligned, and as far off as it says."""
+    params = made_up.params(made_up.navigation)
+    z = []
+    for seed in range(SEEDS):
+        imu, dcm_nb = made_up.imu(made_up.navigation, 120.0, seed=seed, heading=0.5 * seed, rate=RATE)
+        aligner = StandingAligner(params)
+        found = aligner.run(imu, period=10.0)
+        assert aligner.phase == "aligned"
+        for phase, result in found:
+            if phase == "aligned":
+                assert abs(made_up.error(result.heading, dcm_nb)) < SIGMAS * result.heading_std
+        z.append(made_up.error(aligner.result.heading, dcm_nb) / aligner.result.heading_std)
+    assert MEAN_SQUARE[0] < np.mean(np.square(z)) < MEAN_SQUARE[1]
+
+
+def test_two_positions_find_the_gyro_bias(made_up):
+    params = made_up.params(made_up.tactical)
+    imu, dcm_nb = made_up.imu(made_up.tactical, 240.0, seed=3, rate=RATE, turns=((115.0, 10.0, math.pi),))
+    aligner = StandingAligner(params)
+    aligner.run(imu)
+    result = aligner.result
+    assert result.floor < 0.5 * params.gyro_bias_std / params.north_rate < 0.5 * math.pi
+    assert abs(made_up.error(result.heading, dcm_nb)) < SIGMAS * result.heading_std
+    assert result.heading_std < 1.6 * result.floor
+    assert any("stands again" in text for good, text in aligner.take_remarks() if good)
+
+
+@pytest.mark.parametrize("method", ["oba_riekf", "ekf5"])
+def test_samples_one_by_one_give_what_the_recording_gives(made_up, method):
+    imu, _ = made_up.imu(made_up.navigation, 40.0, rate=RATE)
+    params = made_up.params(made_up.navigation, method=method, **COARSE)
+    batch, stream = StandingAligner(params), StandingAligner(params)
+    batch.run(imu, period=7.0)
+    for sample in zip(imu.stamp_ns.tolist(), imu.gyro_b, imu.accel_b, strict=True):
+        stream.add_imu(*sample)
+    assert stream.result.stamp_ns == batch.result.stamp_ns
+    np.testing.assert_allclose(stream.result.q_nb_wxyz, batch.result.q_nb_wxyz, atol=SAME)
+
+
+@pytest.mark.parametrize("method", ["ipekf", "ekf10", "ukf10", "mekf", "riekf6"])
+def test_every_method_aligns(made_up, method):
+    imu, dcm_nb = made_up.imu(made_up.navigation, 60.0, rate=RATE)
+    aligner = StandingAligner(made_up.params(made_up.navigation, method=method, **COARSE))
+    aligner.run(imu)
+    result = aligner.result
+    assert abs(made_up.error(result.heading, dcm_nb)) < SIGMAS * result.heading_std
+    assert result.heading_std > 0.9 * result.floor
+    assert math.isnan(result.cost) == (method != "ipekf")
+
+
+def test_bad_samples_are_counted_and_change_nothing(made_up):
+    imu, _ = made_up.imu(made_up.navigation, 30.0, rate=RATE)
+    params = made_up.params(made_up.navigation, **COARSE)
+    clean, dirty = StandingAligner(params), StandingAligner(params)
+    clean.run(imu)
+    broken = imu.gyro_b[200].copy()
+    broken[1] = math.nan
+    for k, sample in enumerate(zip(imu.stamp_ns.tolist(), imu.gyro_b, imu.accel_b, strict=True)):
+        if k == 200:
+            dirty.add_imu(sample[0] - 1, broken, sample[2])
+            dirty.add_imu(int(imu.stamp_ns[150]), *sample[1:])
+        dirty.add_imu(*sample)
+    assert dirty.refused == 2
+    np.testing.assert_array_equal(dirty.result.q_nb_wxyz, clean.result.q_nb_wxyz)
+
+
+def test_gap_starts_anew_and_says_so(made_up):
+    imu, _ = made_up.imu(made_up.navigation, 30.0, rate=RATE)
+    aligner = StandingAligner(made_up.params(made_up.navigation, **COARSE))
+    aligner.run(imu)
+    assert aligner.phase != "coarse"
+    later = 32_000_000_000 - int(imu.stamp_ns[0])
+    aligner.run(ImuSeries(imu.stamp_ns[:200] + later, imu.gyro_b[:200], imu.accel_b[:200]))
+    assert aligner.gaps == 1 and aligner.phase == "coarse"
+    assert any("gap of 2.0 s" in text for _, text in aligner.take_remarks())
+
+
+@pytest.mark.parametrize(("changes", "scale", "text"), [
+    ({"latitude": math.nan}, 1.0, "latitude is not known"), ({"latitude": math.radians(89.9)}, 1.0, "pole"),
+    ({}, 1 / 9.80665, "g"), ({}, 1.2, "1.2")])
+def test_refusals_say_why(made_up, changes, scale, text):
+    imu, _ = made_up.imu(made_up.perfect, 30.0, rate=RATE)
+    aligner = StandingAligner(made_up.params(made_up.navigation, **COARSE, **changes))
+    aligner.run(ImuSeries(imu.stamp_ns, imu.gyro_b, scale * imu.accel_b))
+    assert text in aligner.refusal
+    assert aligner.phase in ("waiting", "coarse")
+    if "latitude" in changes:
+        assert aligner.result.roll == pytest.approx(0.02, abs=LEVEL_LAG)
+        assert aligner.result.pitch == pytest.approx(-0.03, abs=LEVEL_LAG)
+        assert aligner.result.heading_std == pytest.approx(math.pi / math.sqrt(3))
+    else:
+        assert aligner.input_error
+
+
+def test_biases_that_hide_the_earth_rate_are_never_aligned(made_up):
+    imu, _ = made_up.imu(made_up.tactical, 60.0, rate=RATE)
+    aligner = StandingAligner(made_up.params(made_up.tactical, gyro_bias_std=math.radians(10 / 3600), **COARSE))
+    aligner.run(imu)
+    assert aligner.phase == "fine" and "hide the Earth rate" in aligner.refusal
+    assert aligner.result.time_left == math.inf
+
+
+def test_attitude_that_contradicts_the_residuals_is_given_up(made_up):
+    """Row 40 of the reliability page: a filter that is sure of a wrong attitude goes back to the coarse stage."""
+    imu, dcm_nb = made_up.imu(made_up.navigation, 300.0, rate=RATE)
+    aligner = StandingAligner(made_up.params(made_up.navigation, method="ekf5", zero_velocity_std=1e-4, **COARSE))
+    part = slice(0, 1500)
+    aligner.run(ImuSeries(imu.stamp_ns[part], imu.gyro_b[part], imu.accel_b[part]))
+    state = aligner._filter
+    turn = math.radians(30.0)
+    state.R[:] = dcm_nb_from_euler(0.0, 0.0, turn) @ state.R
+    state.P[4, :] = state.P[:, 4] = 0.0
+    state.P[4, 4] = 1e-10
+    part = slice(1500, None)
+    aligner.run(ImuSeries(imu.stamp_ns[part], imu.gyro_b[part], imu.accel_b[part]))
+    assert any("back to the coarse alignment" in text for _, text in aligner.take_remarks())
+    assert abs(made_up.error(aligner.result.heading, dcm_nb)) < SIGMAS * aligner.result.heading_std
