@@ -158,6 +158,7 @@ class NavigationSession:
     def reset(self):
         """Start anew; the next fix is the origin."""
         self.estimator.reset()
+        self._altimeter_ns.clear()
 
     def take(self, name, raw):
         """Take one serialized message.

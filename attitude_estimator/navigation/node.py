@@ -41,6 +41,8 @@ WATCH_PERIOD = 0.2  # s, how soon a silent IMU is told
 WATCHES_PER_REPORT = 5
 SILENCE, SILENT_PERIODS = 0.2, 5  # s, or periods of the IMU, after which it has stopped
 AID_SILENCE = 2.0  # s, or periods of the aid, after which one that was there has stopped
+IMU_FAULTS = ("gyro_not_finite", "accel_not_finite", "gyro_out_of_range", "accel_out_of_range", "accel_zero")
+ERROR_SHARE = 0.01  # of IMU samples with such a fault
 
 
 class NavigationNode(SensorNode):
@@ -53,6 +55,7 @@ class NavigationNode(SensorNode):
         self._answers = NavigationOutput(self._session)
         self._meters = {name: StreamMeter() for name in INPUTS}
         self._subscribers, self._watches, self._silent, self._origin = (), 0, False, None
+        self._told = {}
         on_change(self, self.params, self._apply)
         self._outputs = {topic: self.advertise(kind, topic) for topic, kind in OUTPUT_TYPES.items()}
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -121,7 +124,7 @@ class NavigationNode(SensorNode):
         self._report_state(report)
         self._report_imu(report, now_ns)
         self._report_aids(report, now_ns)
-        report.counters(session.faults | dict(session.counts) | dict(self.counts))
+        self._report_faults(report)
         return report
 
     def _report_state(self, report):
@@ -131,6 +134,8 @@ class NavigationNode(SensorNode):
             report.fault(Level.WARN, f"waiting for {session.estimator.waiting_for}")
         elif session.since_aided > COASTING_AFTER:
             report.fault(Level.WARN, f"coasting: no fix and no velocity used for {session.since_aided:.1f} s")
+        if session.estimator.free_fall:
+            report.fault(Level.WARN, "the force is too small to show gravity")
         for name, value in session.spread().items():
             report.value(name, value)
         if session.estimator.origin is not None:
@@ -175,6 +180,17 @@ class NavigationNode(SensorNode):
                 silence = self._silence(name, now_ns, AID_SILENCE)
                 if silence:
                     report.fault(Level.WARN, f"{name} stopped {silence:.1f} s ago")
+
+    def _report_faults(self, report):
+        """Counters of everything refused; what is new since the last report is a fault of this one."""
+        faults, samples = self._session.faults, max(self._session.counts["imu_messages"], 1)
+        often = sum(faults[name] for name in IMU_FAULTS) > ERROR_SHARE * samples
+        for name, count in faults.items():
+            new = count - self._told.get(name, 0)
+            if new > 0:
+                report.fault(Level.ERROR if often and name in IMU_FAULTS else Level.WARN, f"{name}: {new} more")
+        self._told = faults
+        report.counters(faults | dict(self._session.counts) | dict(self.counts))
 
 
 def main():
