@@ -232,7 +232,8 @@ def kalman_update(P, H, R, y, dx, gate):
     """
     n, d = len(P), len(y)
     # W = H P and K are held as rows of n, so that the inner loops run along memory.
-    W, K, L, u = np.zeros((d, n)), np.empty((d, n)), np.empty((d, d)), np.empty(d)
+    W, K, L = np.zeros((d, n)), np.empty((d, n)), np.empty((d + 1, d))
+    u = L[d]
     for a in range(d):
         for j in range(n):
             h = H[a, j]
@@ -313,17 +314,16 @@ def mekf_covariance(q, P, w, dt, gyro_density, walk_density, angle_var):
 
     Phi = [I, -C^T Psi; 0, I] and Q turned alike, with C navigation to body; `angle_var` (rad^2) is noise on top.
     """
-    theta, psi, q11, q12 = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    work = np.empty((7, 3, 3))
+    theta, psi, q11, q12, c, a, t = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
     attitude_model(w, dt, gyro_density, walk_density, theta, psi, q11, q12)
-    c, a, t = np.empty((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     _dcm(q, c)
     for i in range(3):
         q11[i, i] += angle_var
     for i in range(3):
         for j in range(3):
-            for k in range(3):
-                a[i, j] -= c[i, k] * psi[k, j]
-                t[i, j] += c[i, k] * q11[k, j]
+            a[i, j] = -(c[i, 0] * psi[0, j] + c[i, 1] * psi[1, j] + c[i, 2] * psi[2, j])
+            t[i, j] = c[i, 0] * q11[0, j] + c[i, 1] * q11[1, j] + c[i, 2] * q11[2, j]
     for j in range(6):
         for i in range(3):
             P[i, j] += a[i, 0] * P[3, j] + a[i, 1] * P[4, j] + a[i, 2] * P[5, j]
@@ -345,9 +345,9 @@ def mekf_vector_update(q, bias, P, measured_b, reference_n, R, gate):
 
     ``z = C_true v_n = v_b + [v_b x] C theta``, so ``H = [[v_b x] C, 0]``.
     """
-    c, H, y, dx = np.empty((3, 3)), np.zeros((3, 6)), np.empty(3), np.zeros(6)
+    work, H, dx = np.empty((5, 3)), np.zeros((3, 6)), np.empty(6)
+    c, b, y = work[:3], work[3], work[4]
     _dcm(q, c)
-    b = np.empty(3)
     for i in range(3):
         b[i] = c[0, i] * reference_n[0] + c[1, i] * reference_n[1] + c[2, i] * reference_n[2]
         y[i] = measured_b[i] - b[i]
