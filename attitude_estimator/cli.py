@@ -90,7 +90,7 @@ class BagEstimator:
         self._faults = self._estimator.faults
         self._gate = gate_state()
         self._messages = OutputMessages(params.mounting_rpy)
-        self._check = ImuCheck(self._messages.up_imu)
+        self._check = ImuCheck(self._messages.mounting.up_imu)
         self._imu_topic, self._altimeter_topic = imu_topic, altimeter_topic
         self._altimeter_type = altimeter_type
         self._source = AltitudeSource(altimeter_type) if altimeter_type else None

@@ -18,17 +18,14 @@ from inertial.rotation import (
     dcm_from_quaternion,
     dcm_nb_from_euler,
     euler_from_dcm,
-    quaternion_conjugate,
-    quaternion_from_dcm,
-    quaternion_multiply,
 )
 from nav_ros.bias_file import StoredBiases
 from nav_ros.frames import (
+    Mounting,
     orientation_from_q_nb,
     rpy_from_euler,
     swap_enu_ned_covariance,
     swap_flu_frd,
-    swap_flu_frd_covariance,
 )
 from nav_ros.messages import (
     ACCEL,
@@ -184,20 +181,12 @@ class OutputMessages:
     """
 
     def __init__(self, mounting_rpy):
-        roll, pitch, yaw = mounting_rpy
-        # FLU roll, pitch, yaw are those of FRD with pitch and yaw reversed.
-        self._dcm_base_imu = dcm_nb_from_euler(roll, -pitch, -yaw)
-        self._q_imu_base = quaternion_conjugate(quaternion_from_dcm(self._dcm_base_imu))
+        self.mounting = Mounting(mounting_rpy)
         basis = Estimates(None, np.eye(Estimates.ROW_SIZE))
         self._matrix = {"imu/data": self._imu(basis), "attitude/state": self._state(basis),
                         "imu/gyro_bias": swap_flu_frd(basis.gyro_bias_b),
                         "imu/accel_bias": swap_flu_frd(basis.accel_bias_b)}
         self._state_offset = self._unknown()
-
-    @property
-    def up_imu(self):
-        """The vehicle's up direction in the IMU's axes, FLU, (3,)."""
-        return swap_flu_frd(-self._dcm_base_imu[2]).tolist()
 
     def values(self, topic, estimates):
         """Return the doubles of the message on a topic of :data:`OUTPUT_TYPES`, (..., D)."""
@@ -215,12 +204,12 @@ class OutputMessages:
 
     def rpy(self, estimates):
         """Return roll, pitch, yaw of the vehicle, FLU in ENU, (..., 3), rad."""
-        q_nb = quaternion_multiply(estimates.q_nb_wxyz, self._q_imu_base)
+        q_nb = self.mounting.attitude(estimates.q_nb_wxyz)
         return rpy_from_euler(*euler_from_dcm(dcm_from_quaternion(q_nb)))
 
     def level(self, estimate):
         """Return the mounting_rpy that makes the vehicle level now and keeps its yaw."""
-        q_nb = quaternion_multiply(estimate.q_nb_wxyz, self._q_imu_base)
+        q_nb = self.mounting.attitude(estimate.q_nb_wxyz)
         _, _, heading = euler_from_dcm(dcm_from_quaternion(q_nb))
         level_nb = dcm_nb_from_euler(0.0, 0.0, heading)
         roll, pitch, yaw = euler_from_dcm(level_nb.T @ dcm_from_quaternion(estimate.q_nb_wxyz))
@@ -228,25 +217,16 @@ class OutputMessages:
 
     def _imu(self, estimates):
         values = np.zeros((len(estimates), DOUBLES[IMU]))
-        values[:, ORIENTATION] = orientation_from_q_nb(
-            quaternion_multiply(estimates.q_nb_wxyz, self._q_imu_base))
+        values[:, ORIENTATION] = orientation_from_q_nb(self.mounting.attitude(estimates.q_nb_wxyz))
         covariance = np.zeros((len(estimates), 3, 3))
         covariance[:, :2, :2] = estimates.tilt_covariance_n
         covariance[:, 2, 2] = estimates.yaw_variance
         values[:, ORIENTATION_COVARIANCE] = swap_enu_ned_covariance(covariance).reshape(-1, 9)
-        values[:, GYRO] = self._vehicle(estimates.gyro_b)
-        values[:, GYRO_COVARIANCE] = self._vehicle_variance(estimates.gyro_bias_variance)
-        values[:, ACCEL] = self._vehicle(estimates.accel_b)
-        values[:, ACCEL_COVARIANCE] = self._vehicle_variance(estimates.accel_bias_variance)
+        values[:, GYRO] = self.mounting.vector(estimates.gyro_b)
+        values[:, GYRO_COVARIANCE] = self.mounting.covariance(estimates.gyro_bias_variance).reshape(-1, 9)
+        values[:, ACCEL] = self.mounting.vector(estimates.accel_b)
+        values[:, ACCEL_COVARIANCE] = self.mounting.covariance(estimates.accel_bias_variance).reshape(-1, 9)
         return values
-
-    def _vehicle(self, vector_imu):
-        return swap_flu_frd(vector_imu @ self._dcm_base_imu.T)
-
-    def _vehicle_variance(self, variance_imu):
-        dcm = self._dcm_base_imu
-        covariance = np.einsum("ij,nj,kj->nik", dcm, variance_imu, dcm)
-        return swap_flu_frd_covariance(covariance).reshape(-1, 9)
 
     def _state(self, estimates):
         """Altitude and vertical velocity, linear in the row; what is constant is in `_unknown`."""

@@ -13,6 +13,8 @@ Sources: REP-103 (axes), REP-145 (IMU data and orientation).
 
 import numpy as np
 
+from inertial.rotation import dcm_nb_from_euler, quaternion_conjugate, quaternion_from_dcm, quaternion_multiply
+
 _FLIP = np.array([1.0, -1.0, -1.0])
 _ENU = [1, 0, 2]
 _ENU_SIGN = np.array([1.0, 1.0, -1.0])
@@ -99,3 +101,42 @@ def rpy_from_euler(roll, pitch, heading):
     """
     yaw = np.mod(1.5 * np.pi - np.asarray(heading, float), 2.0 * np.pi) - np.pi
     return np.stack(np.broadcast_arrays(roll, np.negative(pitch), yaw), axis=-1)
+
+
+class Mounting:
+    """How an IMU sits in its vehicle.
+
+    Parameters
+    ----------
+    rpy : (3,), rad
+        Roll, pitch and yaw of the IMU in the vehicle, FLU.
+
+    Attributes
+    ----------
+    dcm_base_imu : (3, 3)
+        Takes the IMU's axes to the vehicle's, both FRD.
+    """
+
+    def __init__(self, rpy):
+        roll, pitch, yaw = rpy
+        # FLU roll, pitch, yaw are those of FRD with pitch and yaw reversed.
+        self.dcm_base_imu = dcm_nb_from_euler(roll, -pitch, -yaw)
+        self._q_imu_base = quaternion_conjugate(quaternion_from_dcm(self.dcm_base_imu))
+
+    @property
+    def up_imu(self):
+        """The vehicle's up direction in the IMU's axes, FLU, list of three."""
+        return swap_flu_frd(-self.dcm_base_imu[2]).tolist()
+
+    def attitude(self, q_nb_wxyz):
+        """Return the vehicle's attitude where the IMU's is given, (..., 4)."""
+        return quaternion_multiply(q_nb_wxyz, self._q_imu_base)
+
+    def vector(self, vector_imu):
+        """Return a vector (..., 3) in the IMU's axes, FRD, in the vehicle's, FLU."""
+        return swap_flu_frd(vector_imu @ self.dcm_base_imu.T)
+
+    def covariance(self, variance_imu):
+        """Return the (..., 3, 3) in the vehicle's axes, FLU, of variances (..., 3) along the IMU's."""
+        dcm = self.dcm_base_imu
+        return swap_flu_frd_covariance(np.einsum("ij,...j,kj->...ik", dcm, variance_imu, dcm))

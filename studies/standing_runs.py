@@ -227,7 +227,7 @@ def _run_noisy(name, imu, start, P0, params, velocity_noise, period):
     return FilterHistory(imu.stamp_ns[every - 1::every][:len(rows)], rows), model_error
 
 
-@njit(cache=True)
+@njit  # not cached: a cache does not see a change in the kernels' own file
 def _run_samples(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, noise, every, rows, model_error):
     """Run a filter of the error model with noise on the strapdown's velocity, just while it is measured."""
     none = np.empty((0, rows.shape[1]))

@@ -521,7 +521,7 @@ def claims_section(figures):
     return ["## The paper's claims", *table(("what the paper says", "verdict"), rows)]
 
 
-@njit(cache=True)
+@njit  # not cached: a cache does not see a change in the kernels' own file
 def _mekf_steps(q, bias, P, gyro_b, down_n, R, steps):
     measured_b = np.empty(3)
     for _ in range(steps):

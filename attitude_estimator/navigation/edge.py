@@ -17,16 +17,13 @@ from attitude_estimator.navigation.params import NavigationParams
 from inertial.parameters import parameter
 from inertial.rotation import (
     dcm_from_quaternion,
-    dcm_nb_from_euler,
     euler_from_dcm,
-    quaternion_conjugate,
-    quaternion_from_dcm,
-    quaternion_multiply,
     skew,
 )
-from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
+from nav_ros.altitude_source import AltitudeSource
 from nav_ros.diagnostics import Level
 from nav_ros.frames import (
+    Mounting,
     orientation_from_q_nb,
     q_nb_from_orientation,
     swap_enu_ned,
@@ -61,7 +58,7 @@ from nav_ros.messages import (
     VECTOR,
     VELOCITY,
     VELOCITY_COVARIANCE,
-    MalformedMessageError,
+    RefusedMessageError,
     StampedEncoder,
     decode,
     decode_fix,
@@ -94,14 +91,6 @@ class NavigationNodeParams(NavigationParams, TimeGateParams):
         (0.0, 0.0, 0.0), "rad", "roll, pitch, yaw (REP-103) of the IMU in the vehicle", -2 * np.pi, 2 * np.pi)
     auxiliary_rate: float = parameter(
         50.0, "Hz", "highest rate of all output but imu/data; 0: with every sample", 0.0, 1e4)
-
-
-class MeasurementRefusedError(ValueError):
-    """Raised for a message that says nothing; ``fault`` names its counter."""
-
-    def __init__(self, fault, reason, level=Level.WARN):
-        super().__init__(reason)
-        self.fault, self.level = fault, level
 
 
 class NavigationSession:
@@ -153,7 +142,7 @@ class NavigationSession:
         self.estimator.params = params
         self.gate.set_params(params)
         self.messages = NavigationMessages(params.mounting_rpy)
-        self.check.up_imu = self.messages.up_imu
+        self.check.up_imu = self.messages.mounting.up_imu
 
     def reset(self):
         """Start anew; the next fix is the origin."""
@@ -178,11 +167,7 @@ class NavigationSession:
         self.stamp_ns = 0
         try:
             return bool(self._takes[name](raw))
-        except MalformedMessageError as error:
-            self._tell("malformed", f"{name}: {error}", Level.WARN)
-        except AltitudeRefusedError as error:
-            self._tell(error.fault, f"{name}: {error}", Level.ERROR)
-        except MeasurementRefusedError as error:
+        except RefusedMessageError as error:
             self._tell(error.fault, f"{name}: {error}", error.level)
         except ValueError as error:
             self._tell(f"{name}_invalid", f"{name}: {error}", Level.ERROR)
@@ -197,7 +182,7 @@ class NavigationSession:
             self._tell("started_anew", "stamps went back (a bag's loop, a clock set?): starts anew", Level.WARN)
             self.reset()
         elif code == StampCode.NO_STAMP:
-            raise MeasurementRefusedError("imu_no_stamp", "no valid stamp, and no fixed_dt to stand in", Level.ERROR)
+            raise RefusedMessageError("imu_no_stamp", "no valid stamp, and no fixed_dt to stand in")
         if code >= StampCode.DUPLICATE:
             return False
         self.stamp_ns = self.gate.stamp_ns
@@ -220,7 +205,7 @@ class NavigationSession:
     def _begin(self, name, stamp_ns):
         """Insist on the stamp of an aid."""
         if stamp_ns <= 0:
-            raise MeasurementRefusedError(f"{name}_no_stamp", "no valid stamp", Level.ERROR)
+            raise RefusedMessageError(f"{name}_no_stamp", "no valid stamp")
         self.stamp_ns = stamp_ns
 
     def _take_altitude(self, name, message_type, raw):
@@ -230,15 +215,15 @@ class NavigationSession:
         self._altimeter_ns[name] = stamp_ns
         stamps = self._altimeter_ns.values()
         if len(stamps) == 2 and max(stamps) - min(stamps) < _TWO_ALTIMETERS_NS:
-            raise MeasurementRefusedError("two_altimeters", "altitude and pressure are both there: choose one by "
-                                          "altitude_source; neither is used", Level.ERROR)
+            raise RefusedMessageError("two_altimeters", "altitude and pressure are both there: choose one by "
+                                      "altitude_source; neither is used")
         self.estimator.add_altitude(stamp_ns, altitude, variance)
 
     def _take_fix(self, raw):
         stamp_ns, fix = decode_fix(raw)
         self._begin("fix", stamp_ns)
         if fix.status < GPS_FIX:
-            raise MeasurementRefusedError("no_fix", f"status {fix.status}: the receiver has no position")
+            raise RefusedMessageError("no_fix", f"status {fix.status}: the receiver has no position", Level.WARN)
         covariance_n = None
         if fix.covariance_type != COVARIANCE_UNKNOWN:
             covariance_n = self._covariance_n("fix", np.reshape(fix.covariance, (3, 3)))
@@ -329,31 +314,23 @@ class NavigationMessages:
     """
 
     def __init__(self, mounting_rpy):
-        roll, pitch, yaw = mounting_rpy
-        # FLU roll, pitch, yaw are those of FRD with pitch and yaw reversed.
-        self._dcm_base_imu = dcm_nb_from_euler(roll, -pitch, -yaw)
-        self._q_imu_base = quaternion_conjugate(quaternion_from_dcm(self._dcm_base_imu))
+        self.mounting = Mounting(mounting_rpy)
         basis = Navigation(None, np.eye(kernels.OUT_SIZE))
         # Most values are linear in the row of an estimate.
         self._matrix = {"imu/data": self._imu(basis), "odometry": self._pose_and_turn(basis),
                         "imu/gyro_bias": swap_flu_frd(basis.gyro_bias_b),
                         "imu/accel_bias": swap_flu_frd(basis.accel_bias_b)}
 
-    @property
-    def up_imu(self):
-        """The vehicle's up direction in the IMU's axes, FLU, (3,)."""
-        return swap_flu_frd(-self._dcm_base_imu[2]).tolist()
-
     def down_imu(self, orientation_xyzw):
         """Return down in the IMU's axes, FRD, of a vehicle with that orientation."""
-        return _dcm_nb(orientation_xyzw)[2] @ self._dcm_base_imu
+        return _dcm_nb(orientation_xyzw)[2] @ self.mounting.dcm_base_imu
 
     def heading_imu(self, orientation_xyzw, estimate):
         """Return the heading of the IMU, rad clockwise from north, where the vehicle's is that of an orientation."""
         *_, heading = euler_from_dcm(_dcm_nb(orientation_xyzw))
         # A turn about the vertical changes both headings alike.
         *_, imu = euler_from_dcm(dcm_from_quaternion(estimate.q_nb_wxyz))
-        *_, base = euler_from_dcm(dcm_from_quaternion(self._q_nb_base(estimate)))
+        *_, base = euler_from_dcm(dcm_from_quaternion(self.mounting.attitude(estimate.q_nb_wxyz)))
         return heading + imu - base
 
     def values(self, topic, estimate):
@@ -368,42 +345,31 @@ class NavigationMessages:
                 _cap(covariance.reshape(6, 6))
         return values
 
-    def _q_nb_base(self, estimates):
-        return quaternion_multiply(estimates.q_nb_wxyz, self._q_imu_base)
-
     def _imu(self, estimates):
         values = np.zeros((len(estimates), DOUBLES[IMU]))
-        values[:, ORIENTATION] = orientation_from_q_nb(self._q_nb_base(estimates))
+        values[:, ORIENTATION] = orientation_from_q_nb(self.mounting.attitude(estimates.q_nb_wxyz))
         values[:, ORIENTATION_COVARIANCE] = swap_enu_ned_covariance(
             estimates.covariance[:, :3, :3]).reshape(-1, 9)
-        values[:, GYRO] = self._base(estimates.gyro_b)
-        values[:, GYRO_COVARIANCE] = self._base_covariance(estimates.gyro_bias_variance).reshape(-1, 9)
-        values[:, ACCEL] = self._base(estimates.accel_b)
-        values[:, ACCEL_COVARIANCE] = self._base_covariance(estimates.accel_bias_variance).reshape(-1, 9)
+        values[:, GYRO] = self.mounting.vector(estimates.gyro_b)
+        values[:, GYRO_COVARIANCE] = self.mounting.covariance(estimates.gyro_bias_variance).reshape(-1, 9)
+        values[:, ACCEL] = self.mounting.vector(estimates.accel_b)
+        values[:, ACCEL_COVARIANCE] = self.mounting.covariance(estimates.accel_bias_variance).reshape(-1, 9)
         return values
-
-    def _base(self, vector_imu):
-        """Return a vector in the IMU's axes, FRD, in the vehicle's, FLU."""
-        return swap_flu_frd(vector_imu @ self._dcm_base_imu.T)
-
-    def _base_covariance(self, variance_imu):
-        dcm = self._dcm_base_imu
-        return swap_flu_frd_covariance(np.einsum("ij,...j,kj->...ik", dcm, variance_imu, dcm))
 
     def _pose_and_turn(self, estimates):
         """Pose in the world's axes and rate in the vehicle's: what is linear of an Odometry."""
         values = np.zeros((len(estimates), DOUBLES[ODOMETRY]))
         values[:, POSE_POSITION] = swap_enu_ned(estimates.position_n)
-        values[:, POSE_ORIENTATION] = orientation_from_q_nb(self._q_nb_base(estimates))
+        values[:, POSE_ORIENTATION] = orientation_from_q_nb(self.mounting.attitude(estimates.q_nb_wxyz))
         values[:, POSE_COVARIANCE] = _pose_covariance(estimates.covariance).reshape(-1, 36)
-        values[:, TWIST_ANGULAR] = self._base(estimates.gyro_b)
-        values[:, TWIST_COVARIANCE].reshape(-1, 6, 6)[:, 3:, 3:] = self._base_covariance(
+        values[:, TWIST_ANGULAR] = self.mounting.vector(estimates.gyro_b)
+        values[:, TWIST_COVARIANCE].reshape(-1, 6, 6)[:, 3:, 3:] = self.mounting.covariance(
             estimates.gyro_bias_variance)
         return values
 
     def _add_velocity(self, values, estimate):
         """Add the velocity in the vehicle's axes and its covariance to the values of an Odometry."""
-        velocity_n, dcm_nb = estimate.velocity_n, dcm_from_quaternion(self._q_nb_base(estimate))
+        velocity_n, dcm_nb = estimate.velocity_n, dcm_from_quaternion(self.mounting.attitude(estimate.q_nb_wxyz))
         values[TWIST_LINEAR] = swap_flu_frd(velocity_n @ dcm_nb)
         covariance = np.diag(np.full(3, UNKNOWN_VARIANCE))
         if estimate.heading_known:
