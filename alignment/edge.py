@@ -23,6 +23,7 @@ from nav_ros.messages import (
     IMU,
     ORIENTATION,
     ORIENTATION_COVARIANCE,
+    RefusedMessageError,
     decode,
     decode_joints,
 )
@@ -56,8 +57,11 @@ class AlignmentNodeParams(StandingParams, AlignmentParams):
                              "joint, azimuth_1a, azimuth_1b, azimuth_4, azimuth_5 or azimuth_6")
 
 
-class JointError(ValueError):
+class JointError(RefusedMessageError):
     """Raised when a message does not have the table's joint, with what to do."""
+
+    def __init__(self, reason):
+        super().__init__("joint_missing", reason)
 
 
 def imu_sample(raw):

@@ -54,7 +54,7 @@ TWO_ALTIMETERS = 5.0  # s within which both have been heard
 ERROR_SHARE = 0.01  # of refused samples
 STUCK_ERROR_SAMPLES = 500
 FOUND_MOVING_NS = 60_000_000_000  # after which a start in motion has been corrected
-WATCHES_PER_STORE = 300  # a minute between two writings of bias_file
+STORE_PERIOD = 60.0  # s between two writings of bias_file
 
 
 class AttitudeNode(SensorNode):
@@ -72,11 +72,12 @@ class AttitudeNode(SensorNode):
         self._gate = TimeGate(self.params)
         self._frame, self._encoders, self._slot = None, {}, None
         self._use_altitude = True
-        self._watches_to_store = WATCHES_PER_STORE
         self._tf = self._transform_broadcaster() if self.params.publish_tf else None
         on_change(self, self.params, self._apply)
         for topic, kind in MESSAGE_TYPES.items():
             self.advertise(kind, topic, qos_told=topic == "imu/data")
+        if self.params.bias_file:
+            self.create_timer(STORE_PERIOD, self._store_biases)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/level", self._on_level)
         self.create_service(SetBool, "~/use_altitude", self._on_use_altitude)
@@ -107,7 +108,7 @@ class AttitudeNode(SensorNode):
 
     def _store_biases(self):
         estimate = self._estimator.estimate
-        if not (self.params.bias_file and estimate.valid):
+        if not estimate.valid:
             return
         try:
             write_biases(self.params.bias_file, biases_to_store(estimate))
@@ -116,7 +117,8 @@ class AttitudeNode(SensorNode):
 
     def destroy_node(self):
         """Keep the biases and end."""
-        self._store_biases()
+        if self.params.bias_file:
+            self._store_biases()
         super().destroy_node()
 
     def _transform_broadcaster(self):
@@ -257,13 +259,6 @@ class AttitudeNode(SensorNode):
         return response
 
     # --- diagnostics
-
-    def watch(self, now_ns):
-        """Keep the biases once a minute."""
-        self._watches_to_store -= 1
-        if self._watches_to_store == 0:
-            self._watches_to_store = WATCHES_PER_STORE
-            self._store_biases()
 
     def make_report(self, now_ns):
         """Return the report: state, sensors, everything refused."""

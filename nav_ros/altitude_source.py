@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 from inertial.atmosphere import altitude_from_pressure
-from nav_ros.messages import POINT, PRESSURE
+from nav_ros.messages import POINT, PRESSURE, RefusedMessageError
 
 PRESSURE_RANGE = (2_000.0, 120_000.0)
 """Pa; what an air vehicle can meet, from 26 km to some 1400 m below the sea."""
@@ -18,12 +18,8 @@ _UNITS = ((200.0, 1_200.0, "hPa (mbar)", 100.0), (20.0, 120.0, "kPa", 1_000.0),
           (12.0, 16.0, "psi", 6_894.757), (0.2, 1.2, "bar", 100_000.0))
 
 
-class AltitudeRefusedError(ValueError):
-    """Raised for a sample that says nothing about the altitude; ``fault`` names its counter."""
-
-    def __init__(self, fault, reason):
-        super().__init__(reason)
-        self.fault = fault
+class AltitudeRefusedError(RefusedMessageError):
+    """Raised for a sample that says nothing about the altitude."""
 
 
 class Altitude(NamedTuple):

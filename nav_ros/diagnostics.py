@@ -8,6 +8,9 @@ import enum
 import math
 from collections import deque
 
+SILENT_PERIODS = 5
+"""Periods of a topic without a message after which it may have stopped."""
+
 
 class Level(enum.IntEnum):
     """Levels of diagnostic_msgs/DiagnosticStatus."""
@@ -91,10 +94,13 @@ class StreamMeter:
     ----------
     window : int
         How many messages are remembered; memory does not grow beyond it.
+    patience : float
+        Seconds without a message, or :data:`SILENT_PERIODS` of the topic, after which it has stopped.
     """
 
-    def __init__(self, window=1000):
+    def __init__(self, window=1000, patience=math.inf):
         self._times = deque(maxlen=window)
+        self._patience = patience
 
     def add(self, stamp_ns, arrival_ns):
         """Remember one message.
@@ -126,6 +132,12 @@ class StreamMeter:
     def age(self, now_ns):
         """Return the seconds since the last arrival, NaN before the first."""
         return (now_ns - self._times[-1][1]) * 1e-9 if self._times else math.nan
+
+    def silence(self, now_ns):
+        """Return the seconds since the last arrival if the topic has stopped, otherwise 0."""
+        age, rate = self.age(now_ns), self.stamp_rate
+        limit = self._patience if math.isnan(rate) else max(self._patience, SILENT_PERIODS / rate)
+        return age if age > limit else 0.0
 
     def _rate(self, which):
         if len(self._times) < 2:

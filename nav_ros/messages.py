@@ -22,6 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_ros.diagnostics import Level
+
 NANOSECONDS = 1_000_000_000
 INVALID_STAMP = -1
 """``stamp_ns`` of a message whose seconds are negative or whose nanoseconds reach a second."""
@@ -72,8 +74,26 @@ _UINT32 = struct.Struct("<I")
 _unpack_length = _UINT32.unpack_from
 
 
-class MalformedMessageError(ValueError):
+class RefusedMessageError(ValueError):
+    """Raised for a message that says nothing.
+
+    Attributes
+    ----------
+    fault : str
+        Name of its counter.
+    level : nav_ros.diagnostics.Level
+    """
+
+    def __init__(self, fault, reason, level=Level.ERROR):
+        super().__init__(reason)
+        self.fault, self.level = fault, level
+
+
+class MalformedMessageError(RefusedMessageError):
     """Raised for bytes that are not the serialized message they should be."""
+
+    def __init__(self, reason):
+        super().__init__("malformed", reason, Level.WARN)
 
 
 @dataclass(frozen=True)

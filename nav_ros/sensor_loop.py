@@ -55,7 +55,7 @@ def run_sensor_node(name, node_class):
     name : str
         Of the program, for what it prints.
     node_class : type
-        Made without arguments; a ValueError ends the start. Its ``sensors`` are those of :func:`spin_sensors`.
+        Of :class:`nav_ros.sensor_node.SensorNode`, made without arguments; a ValueError ends the start.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def run_sensor_node(name, node_class):
         except ValueError as error:
             print(f"{name}: {error}", file=sys.stderr)
             return 2
-        spin_sensors(node, node.sensors)
+        spin_sensors(node, [(sensor.subscription, sensor.take) for sensor in node.sensors.values()])
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:

@@ -26,7 +26,7 @@ from attitude_estimator.navigation.edge import (
     NavigationSession,
 )
 from attitude_estimator.navigation.estimator import NavigationEstimator
-from nav_ros.diagnostics import Level, StreamMeter
+from nav_ros.diagnostics import Level
 from nav_ros.parameters import on_change
 from nav_ros.sensor_loop import run_sensor_node
 from nav_ros.sensor_node import SensorNode
@@ -34,13 +34,10 @@ from nav_ros.time_gate import TimeGate
 
 INPUT_TYPES = {"altitude": PointStamped, "pressure": FluidPressure, "fix": NavSatFix,
                "velocity": TwistWithCovarianceStamped, "inclinometer": QuaternionStamped,
-               "heading": PoseWithCovarianceStamped, "imu": Imu}
+               "heading": PoseWithCovarianceStamped}
 OUTPUT_TYPES = {"imu/data": Imu, "odometry": Odometry, "imu/gyro_bias": Vector3Stamped,
                 "imu/accel_bias": Vector3Stamped}
-WATCH_PERIOD = 0.2  # s, how soon a silent IMU is told
-WATCHES_PER_REPORT = 5
-SILENCE, SILENT_PERIODS = 0.2, 5  # s, or periods of the IMU, after which it has stopped
-AID_SILENCE = 2.0  # s, or periods of the aid, after which one that was there has stopped
+IMU_SILENCE, AID_SILENCE = 0.2, 2.0  # s without a message after which each has stopped
 IMU_FAULTS = ("gyro_not_finite", "accel_not_finite", "gyro_out_of_range", "accel_out_of_range", "accel_zero")
 ERROR_SHARE = 0.01  # of IMU samples with such a fault
 
@@ -53,18 +50,16 @@ class NavigationNode(SensorNode):
         self.prepare(self._warm_up)
         self._session = NavigationSession(self.params, self.fault)
         self._answers = NavigationOutput(self._session)
-        self._meters = {name: StreamMeter() for name in INPUTS}
-        self._subscribers, self._watches, self._silent, self._origin = (), 0, False, None
-        self._told = {}
+        self._origin, self._told = None, {}
         on_change(self, self.params, self._apply)
-        self._outputs = {topic: self.advertise(kind, topic) for topic, kind in OUTPUT_TYPES.items()}
+        for topic, kind in OUTPUT_TYPES.items():
+            self.advertise(kind, topic)
         self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_timer(WATCH_PERIOD, self._watch)
-        for name in INPUTS:
+        for name in INPUTS[:-1]:
             if name not in ("altitude", "pressure") or self.params.altitude_source in ("auto", name):
-                topic = "imu/data_raw" if name == "imu" else name
-                self.add_sensor(INPUT_TYPES[name], topic, self._taking(name))
-        self.get_logger().info("ready")
+                self.add_sensor(INPUT_TYPES[name], name, self._taking(name), patience=AID_SILENCE)
+        self.add_sensor(Imu, "imu/data_raw", self._take_imu, needed=True, patience=IMU_SILENCE)
+        self.begin()
 
     def _warm_up(self):
         NavigationEstimator(self.params).warm_up()
@@ -73,14 +68,15 @@ class NavigationNode(SensorNode):
     def _taking(self, name):
         """Return what takes a serialized message of an input."""
         def take(raw):
-            arrival_ns = self.now_ns()
-            fresh = self._session.take(name, raw)
-            if self._session.stamp_ns:
-                self._meters[name].add(self._session.stamp_ns, arrival_ns)
-            if fresh:
-                for topic, serialized in self._answers.messages(self._subscribers):
-                    self._outputs[topic].publish(serialized)
+            self._session.take(name, raw)
+            return self._session.stamp_ns
         return take
+
+    def _take_imu(self, raw):
+        if self._session.take("imu", raw):
+            for topic, serialized in self._answers.messages(self.wanted):
+                self.outputs[topic].publish(serialized)
+        return self._session.stamp_ns
 
     def _apply(self, params):
         self.params = self._session.params = params
@@ -92,17 +88,15 @@ class NavigationNode(SensorNode):
 
     # --- diagnostics
 
-    def _watch(self):
-        """Report once a second, and at once when the IMU falls silent or comes back."""
-        now_ns = self.now_ns()
-        self._subscribers = {topic for topic, publisher in self._outputs.items()
-                             if publisher.get_subscription_count()}
+    def make_report(self, now_ns):
+        """Return the report: state, IMU, aids, everything refused."""
         self._tell_origin()
-        silent = self._silence("imu", now_ns, SILENCE) > 0.0
-        self._watches += 1
-        if self._watches % WATCHES_PER_REPORT == 0 or silent != self._silent:
-            self._silent = silent
-            self.publish_report(self._report(now_ns), now_ns)
+        report = self.new_report("navigation", self._session.frame or "")
+        self._report_state(report)
+        self.report_imu(report, self._session.gate, self._session.check, now_ns)
+        self._report_aids(report)
+        self._report_faults(report)
+        return report
 
     def _tell_origin(self):
         origin = self._session.estimator.origin
@@ -111,21 +105,6 @@ class NavigationNode(SensorNode):
             self.get_logger().info(f"origin at {math.degrees(latitude):.7f} deg north, "
                                    f"{math.degrees(longitude):.7f} deg east, {height:.2f} m")
         self._origin = origin
-
-    def _silence(self, name, now_ns, least):
-        """Seconds since the last message of an input if they are too many, otherwise 0."""
-        age, rate = self._meters[name].age(now_ns), self._meters[name].stamp_rate
-        limit = least if math.isnan(rate) else max(least, SILENT_PERIODS / rate)
-        return age if age > limit else 0.0
-
-    def _report(self, now_ns):
-        session = self._session
-        report = self.new_report("navigation", session.frame or "")
-        self._report_state(report)
-        self._report_imu(report, now_ns)
-        self._report_aids(report, now_ns)
-        self._report_faults(report)
-        return report
 
     def _report_state(self, report):
         session, estimate = self._session, self._session.estimator.estimate
@@ -144,42 +123,13 @@ class NavigationNode(SensorNode):
             report.value("origin_longitude_deg", f"{math.degrees(longitude):.9f}")
             report.value("origin_height_m", f"{height:.3f}")
 
-    def _report_imu(self, report, now_ns):
-        meter, session = self._meters["imu"], self._session
-        report.value("imu_rate_hz", meter.stamp_rate)
-        report.value("latency_p50_s", meter.latency(0.5))
-        report.value("latency_p99_s", meter.latency(0.99))
-        age = meter.age(now_ns)
-        if math.isnan(age):
-            report.fault(Level.STALE, "no usable imu/data_raw yet")
-            return
-        silence = self._silence("imu", now_ns, SILENCE)
-        if silence:
-            report.fault(Level.ERROR, f"imu/data_raw stopped {silence:.1f} s ago")
-        publishers = self.sensors[-1][0].handle.get_publisher_count()
-        if publishers > 1:
-            report.fault(Level.WARN, f"imu/data_raw has {publishers} publishers")
-        if session.gate.interleaved:
-            report.fault(Level.ERROR, "imu/data_raw: stamps go back and forth: two publishers?")
-        for text in session.check.faults.values():
-            report.fault(Level.ERROR, f"imu/data_raw: {text}")
-        clock = session.gate.clock_fault(session.gate.stamp_ns + round(age * 1e9), now_ns)
-        if clock:
-            report.fault(Level.WARN, clock)
-
-    def _report_aids(self, report, now_ns):
-        """NIS and age of each aid that there has been, its rate; a topic that has stopped is a warning."""
+    def _report_aids(self, report):
+        """NIS and age of each aid that there has been."""
         for name, health in self._session.estimator.health.items():
             if health.used + health.refused:
                 report.value(f"{name}_nis", health.nis)
                 report.value(f"{name}_used", health.used)
                 report.value(f"{name}_age_s", health.age if math.isfinite(health.age) else math.nan)
-        for name in INPUTS[:-1]:
-            if self._session.counts[f"{name}_messages"]:
-                report.value(f"{name}_rate_hz", self._meters[name].stamp_rate)
-                silence = self._silence(name, now_ns, AID_SILENCE)
-                if silence:
-                    report.fault(Level.WARN, f"{name} stopped {silence:.1f} s ago")
 
     def _report_faults(self, report):
         """Counters of everything refused; what is new since the last report is a fault of this one."""
@@ -190,7 +140,7 @@ class NavigationNode(SensorNode):
             if new > 0:
                 report.fault(Level.ERROR if often and name in IMU_FAULTS else Level.WARN, f"{name}: {new} more")
         self._told = faults
-        report.counters(faults | dict(self._session.counts) | dict(self.counts))
+        report.counters(faults | self.counts)
 
 
 def main():
