@@ -47,6 +47,14 @@ def best_angle(roll, pitch, heading, latitude, channel="x"):
     return angle if channel == "x" else angle - 0.5 * np.pi
 
 
+def telling_angle(roll, pitch, heading, other):
+    """Return the table angle at which an x gyro tells two headings apart best, rad."""
+    # (X, Y) as in heading_slope_t; what does not depend on the heading drops out, and so does cos(latitude).
+    change_cos, change_sin = np.cos(heading) - np.cos(other), np.sin(heading) - np.sin(other)
+    return np.arctan2(change_cos * np.sin(pitch) * np.sin(roll) - change_sin * np.cos(roll),
+                      change_cos * np.cos(pitch))
+
+
 def heading_bound(noise_density, total_time, table_sensitivity, uniform=False, gyros=1):
     """Return the Cramer-Rao bound of the heading's standard deviation for white noise and unknown bias, rad.
 

@@ -2,8 +2,8 @@
 
 A stop begins where the table's angle stays within ``largest_angle_spread``; the first ``settle_time`` of it
 is dropped, then every ``dwell_time`` makes a dwell. A table that has gone round once without a stop is
-turning steadily, and its samples are kept instead. Stamps are those of the messages: which stream comes first
-does not matter.
+turning steadily, and its samples are handed out in blocks instead. Stamps are those of the messages: which stream
+comes first does not matter.
 """
 
 import dataclasses
@@ -13,11 +13,13 @@ from collections import deque
 import numpy as np
 
 from alignment.dwells import reduce_dwell
+from alignment.joint_check import JointCheck
 
 FULL_TURN = 2 * math.pi
 _LONGEST_GAP = 0.5  # s without a sample or an angle, after which a stop counts anew
 _LONGEST_WAIT = 5.0  # s that one stream may be ahead of the other
 _SHORTEST_SHARE = 0.5  # of dwell_time, from which a dwell that ends early counts
+_BLOCK_SAMPLES, _BLOCK_TIME = 1000, 5.0  # of steady turning, s, that are handed out together
 
 
 class DwellCollector:
@@ -37,6 +39,8 @@ class DwellCollector:
         Last table angle, rad, NaN before the first.
     gaps, lost : int
         Gaps in a stream; samples dropped because the other stream was missing.
+    joint_check : alignment.joint_check.JointCheck
+        Of all moves so far.
     """
 
     def __init__(self, params):
@@ -49,6 +53,7 @@ class DwellCollector:
         """Forget every sample, and when time began."""
         self._origin_ns = None
         self._dwelt_at = self._dwelt_until = math.nan
+        self.joint_check = JointCheck()
         self.pause()
 
     def pause(self):
@@ -56,7 +61,7 @@ class DwellCollector:
         self._joints, self._waiting = deque(), deque()
         self._anchor = self._stop_start = self._last = math.nan
         self._travel = 0.0
-        self._rows, self._turning = [], []
+        self._rows, self._moving, self._blocks = [], [], []
         self.angle = math.nan
 
     @property
@@ -67,12 +72,7 @@ class DwellCollector:
     @property
     def turning(self):
         """Whether the table turns steadily."""
-        return bool(self._turning) and abs(self._travel) >= FULL_TURN
-
-    @property
-    def turned_time(self):
-        """Length of the samples of steady turning, s."""
-        return self._turning[-1][0] - self._turning[0][0] if self.turning else 0.0
+        return abs(self._travel) >= FULL_TURN
 
     @property
     def elapsed(self):
@@ -84,7 +84,7 @@ class DwellCollector:
 
         Angles that jump by whole turns (an encoder's wrap) are taken as the nearest.
         """
-        time = self._time(stamp_ns)
+        time = self._time(stamp_ns) - self.params.joint_delay
         if self._joints:
             last, before = self._joints[-1]
             if time <= last:
@@ -113,10 +113,25 @@ class DwellCollector:
         """Return the present dwell as far as it goes, or None."""
         return self._reduced(self._rows) if len(self._rows) > 1 else None
 
-    def turning_samples(self):
-        """Return times (N,) s, table angles (N,) rad, gyro_b and accel_b (N, 3) of the steady turning."""
-        rows = np.array(self._turning)
-        return rows[:, 0], rows[:, 1], rows[:, 2:5], rows[:, 5:8]
+    def take_turning(self, last=False):
+        """Return what has come of steady turning since the last call, in blocks.
+
+        Parameters
+        ----------
+        last : bool
+            Whether a block that is not full yet counts.
+
+        Returns
+        -------
+        list of (N, 8) float64
+            Time, s; table angle, rad; gyro_b, rad/s; accel_b, m/s^2.
+        """
+        if not self.turning:
+            return []
+        if last:
+            self._end_block()
+        blocks, self._blocks = self._blocks, []
+        return blocks
 
     def _time(self, stamp_ns):
         if self._origin_ns is None:
@@ -146,15 +161,17 @@ class DwellCollector:
         if gap:
             self.gaps += not math.isnan(self._last)
             done += self._end_dwell()
+            self._end_move()
         moved = gap or not abs(angle - self._anchor) <= 0.5 * self.params.largest_angle_spread
-        was_still = self.still
         self._last = time
         if moved:
             done += self._end_dwell()
-            self._count_turning(angle, gap, was_still)
+            if not gap:
+                self._move(time, angle, sample)
             self._anchor, self._stop_start = angle, time
-            self._turning.append((time, angle, *sample))
         elif self.still:
+            if self._travel and not self.turning:
+                self._end_move()
             self._collect(time, angle, sample, done)
         return done
 
@@ -178,15 +195,30 @@ class DwellCollector:
         self._dwelt_at, self._dwelt_until = dwell.angle, dwell.end
         return dataclasses.replace(dwell, start=start)
 
-    def _count_turning(self, angle, gap, was_still):
-        """Follow how far the table has gone since it last stood; forget the samples of a mere move."""
-        if gap or (was_still and not self.turning):
-            self._travel, self._turning = 0.0, []
-        elif not self.turning:
-            step = angle - self._anchor
+    def _move(self, time, angle, sample):
+        """Follow how far the table has gone since it last stood or turned back."""
+        step = angle - self._anchor
+        if not self.turning:
             if self._travel * step < 0:  # rocking to and fro is no turning
-                self._travel, self._turning = 0.0, []
+                self._end_move()
             self._travel += step
+        self._moving.append((time, angle, *sample))
+        if len(self._moving) >= _BLOCK_SAMPLES or time - self._moving[0][0] >= _BLOCK_TIME:
+            self._end_block()
+
+    def _end_block(self):
+        if self._moving:
+            block = np.array(self._moving)
+            self.joint_check.add(block[:, 0], block[:, 1], block[:, 4])
+            self._blocks.append(block)
+            self._moving = []
+
+    def _end_move(self):
+        """Forget a mere move but for what it tells of the joint; what was steady turning stays to be taken."""
+        steady = self.turning
+        self._end_block()
+        if not steady:
+            self._travel, self._blocks = 0.0, []
 
     def _end_dwell(self):
         done = []
@@ -197,7 +229,12 @@ class DwellCollector:
 
     def _reduced(self, rows):
         rows = np.array(rows)
-        return reduce_dwell(rows[:, 0], rows[:, 1], rows[:, 2:5], rows[:, 5:8], self.params)
+        return reduce_dwell(*columns_of(rows), self.params)
+
+
+def columns_of(rows):
+    """Return times (N,), table angles (N,), gyro_b and accel_b (N, 3) of rows (N, 8)."""
+    return rows[:, 0], rows[:, 1], rows[:, 2:5], rows[:, 5:8]
 
 
 def _interpolated(joints, time):

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alignment import azimuth
 from alignment.params import METHODS, AlignmentParams
 from alignment.standing.params import STANDING_METHODS, StandingParams
 from inertial.parameters import parameter
@@ -46,15 +45,6 @@ class AlignmentNodeParams(StandingParams, AlignmentParams):
     world_frame: str = parameter("map", "", "frame_id of alignment/heading: east, north, up", runtime=False)
     output_rate: float = parameter(10.0, "Hz", "Rate of the output, by the stamps of the IMU", 0.1, 1000.0,
                                    runtime=False)
-
-    def __post_init__(self):
-        super().__post_init__()
-        method = azimuth.METHODS.get(self.method)
-        lacking = {"any", "maximum"} & set(method.positions if method else ())
-        if lacking:
-            what = "a gyro without bias" if "any" in lacking else "the largest rate over a turn"
-            raise ValueError(f"method = {self.method!r}: needs {what}, which dwells do not give; choose "
-                             "joint, azimuth_1a, azimuth_1b, azimuth_4, azimuth_5 or azimuth_6")
 
 
 class JointError(RefusedMessageError):

@@ -6,7 +6,7 @@ weights until they settle, then readings beyond five deviations are left out and
 keeps the efficiency of clean data (P. Huber, Robust Statistics, 1981, 7.8).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,11 +15,15 @@ from alignment.errors import NotEnoughDataError
 HUBER_THRESHOLD = 1.345  # 95 % efficient for normal noise
 OUTLIER_THRESHOLD = 5.0  # one clean reading in two million lies beyond
 LARGEST_CONDITION = 1e4  # two angles a minute of arc apart already exceed it
+Y_TO_PLANE = np.array([[0.0, -1.0], [1.0, 0.0]])
+"""From cosine and sine of a y axis, which reads Y cos(tau) - X sin(tau), to the (X, Y) of the table."""
 _HUBER_STEPS = 30
 _SETTLED = 1e-3  # of the coefficients' deviation
 # Huber's weights need no more readings than these to tell outliers from the rest.
 _ENOUGH_TO_START = 20_000
 _NORMAL_MAD = 1.482602218505602  # standard deviation per median absolute deviation
+_UNCHECKED = 1e-6  # of a reading's weight: rounding
+_UNLIKELY = 3.0  # deviations of chi2 from which it is the stated noise that is too small
 
 
 @dataclass(frozen=True)
@@ -37,8 +41,8 @@ class HarmonicFit:
         Readings kept less coefficients.
     condition : float
         Condition number of the columns.
-    kept : (..., K) bool
-        Which readings count; all of them unless the fit is robust.
+    kept : (..., K) bool or None
+        Which readings count; all of them unless the fit is robust. None where only their sums are known.
     """
 
     coefficients: np.ndarray
@@ -46,12 +50,17 @@ class HarmonicFit:
     chi2: np.ndarray
     freedom: int
     condition: float
-    kept: np.ndarray
+    kept: np.ndarray | None = None
 
     @property
     def bias(self):
         """Constant part."""
         return self.coefficients[..., 0]
+
+    @property
+    def scatter(self):
+        """How many times the stated noise the readings scatter, 0 where that cannot be told."""
+        return np.sqrt(self.chi2 / self.freedom) if self.freedom else np.zeros_like(self.chi2)
 
     @property
     def excess(self):
@@ -60,6 +69,12 @@ class HarmonicFit:
             return np.zeros_like(self.chi2)
         spread = 2 / (9 * self.freedom)
         return (np.cbrt(self.chi2 / self.freedom) - (1 - spread)) / np.sqrt(spread)
+
+    def widened(self):
+        """Return the fit of one channel with the covariance that its scatter shows where that is the larger."""
+        if not self.excess > _UNLIKELY:
+            return self
+        return replace(self, covariance=self.covariance * self.scatter ** 2)
 
     @property
     def in_plane(self):
@@ -129,6 +144,45 @@ def fit_harmonic(angle, value, variance=None, *, time=None, rate=None, robust=Fa
     return _fit_weighted(design, value, variance)
 
 
+def deletion_residuals(angle, values, covariance, time=None):
+    """Return how far each reading is from the fit of all the others, in deviations of the difference.
+
+    Where the others scatter more than stated, in theirs (the externally studentised residual).
+
+    Parameters
+    ----------
+    angle : (K,) float64, rad
+    values : (K, C) float64
+        Readings of C channels.
+    covariance : (K, K) float64
+        Of each channel's.
+    time : (K,) float64, s, optional
+        As in :func:`fit_harmonic`.
+
+    Returns
+    -------
+    (K, C) float64
+        Zero for a reading that no other one checks.
+
+    Raises
+    ------
+    NotEnoughDataError
+        Too few angles, or too much alike.
+    """
+    design = harmonic_design(angle, time)
+    weight = np.linalg.inv(covariance)
+    weighted = weight @ design
+    projection = weight - weighted @ np.linalg.solve(design.T @ weighted, weighted.T)
+    unchecked = np.diag(projection) < _UNCHECKED * np.diag(weight)
+    deviation = np.sqrt(np.where(unchecked, np.inf, np.diag(projection)))
+    residual = projection @ values / deviation[:, None]
+    chi2 = np.einsum("kc,kl,lc->c", values, projection, values)
+    freedom = len(angle) - design.shape[1] - 1
+    if freedom < 1:
+        return residual
+    return residual / np.sqrt(np.maximum((chi2 - residual ** 2) / freedom, 1.0))
+
+
 def _condition(normal, count):
     """Return the condition number of columns, each scaled to unit length, from their products."""
     length = np.sqrt(np.diag(normal).clip(np.finfo(float).tiny))
@@ -183,13 +237,43 @@ def _fit_robust(design, value, variance):
     residual = readings - columns @ coefficients
     kept = np.abs(residual) <= OUTLIER_THRESHOLD * spread
     out, wrong = columns[~kept], residual[~kept]
-    normal = columns.T @ columns - out.T @ out
-    condition = _condition(normal, int(kept.sum()))
-    step = np.linalg.solve(normal, columns.T @ residual - out.T @ wrong)
-    chi2 = residual @ residual - wrong @ wrong - step @ normal @ step
-    freedom = int(kept.sum()) - design.shape[1]
-    unit = 1.0 if variance is not None else chi2 / freedom if freedom else np.nan
-    return HarmonicFit(coefficients + step, np.linalg.inv(normal) * unit, chi2, freedom, condition, kept)
+    return fit_from_sums(columns.T @ columns - out.T @ out, columns.T @ residual - out.T @ wrong,
+                         residual @ residual - wrong @ wrong, int(kept.sum()), coefficients,
+                         None if variance is None else 1.0, kept)
+
+
+def fit_from_sums(normal, moment, squares, count, start, variance=None, kept=None):
+    """Return the fit of readings of which only sums are known.
+
+    Parameters
+    ----------
+    normal : (M, M) float64
+        Columns times columns, summed.
+    moment : (M,) float64
+        Columns times residuals from ``start``; near the fit, so that no digits are lost.
+    squares : float
+        Squared residuals, summed.
+    count : int
+        Number of readings.
+    start : (M,) float64
+        Coefficients.
+    variance : float, optional
+        Of a reading; without it the scatter sets the covariance.
+    kept : (K,) bool, optional
+
+    Raises
+    ------
+    NotEnoughDataError
+        The columns do not tell the coefficients apart.
+    """
+    condition = _condition(normal, count)
+    step = np.linalg.solve(normal, moment)
+    squares = squares - step @ moment
+    freedom = count - len(normal)
+    unit = variance
+    unit = variance if variance is not None else squares / freedom if freedom else np.nan
+    return HarmonicFit(start + step, np.linalg.inv(normal) * unit, squares / (variance or 1.0), freedom,
+                       condition, kept)
 
 
 def huber_fit(columns, readings, spread=None):
@@ -210,7 +294,7 @@ def huber_fit(columns, readings, spread=None):
     coefficients = np.linalg.solve(columns.T @ columns, columns.T @ readings)
     for _ in range(_HUBER_STEPS):
         residual = readings - columns @ coefficients
-        deviation = _spread(residual) if spread is None else spread
+        deviation = robust_spread(residual) if spread is None else spread
         size = np.abs(residual)
         weight = np.minimum(1.0, HUBER_THRESHOLD * deviation / np.maximum(size, np.finfo(float).tiny))
         weighted = columns * weight[:, None]
@@ -222,6 +306,6 @@ def huber_fit(columns, readings, spread=None):
     return coefficients, deviation
 
 
-def _spread(residual):
-    """Return the residuals' standard deviation, robustly."""
-    return max(_NORMAL_MAD * float(np.median(np.abs(residual))), np.finfo(float).tiny)
+def robust_spread(residual):
+    """Return the standard deviation of residuals along their first axis, by the median of their sizes."""
+    return np.maximum(_NORMAL_MAD * np.median(np.abs(residual), axis=0), np.finfo(float).tiny)

@@ -5,15 +5,20 @@ Methods 1 to 4 find roll within +-90 deg only: the paper's arcsines. Equation nu
 22 are corrected (g on one side, a lever arm missing). Everything is vectorised over leading dimensions.
 """
 
+import math
+from dataclasses import replace
+
 import numpy as np
 
-from alignment.harmonic import fit_harmonic
+from alignment.harmonic import Y_TO_PLANE, fit_harmonic
 from alignment.results import LARGEST_SCALE_ERROR, LevelResult, Quality, propagate_covariance
 from inertial.earth import STANDARD_GRAVITY
 from inertial.rotation import down_from_roll_pitch, roll_pitch_from_down
 
 # Where cos(pitch) is smaller, methods 1 to 4 no longer see the roll.
 _SMALLEST_COS_PITCH = 1e-3
+# By as much, rad and deviations, may two accelerometers tell different tilts.
+_LARGEST_DIFFERENCE, _MISFIT_LIMIT = math.radians(0.1), 5.0
 _GAUSS_NEWTON_STEPS = 6  # quadratic from a start within a hundredth of a radian
 _DIFFERENCE_STEP = 1e-6  # of gravity: central differences are then good to about ten digits
 
@@ -99,8 +104,7 @@ def levelling_5(accel_x, accel_tipped, gravity=STANDARD_GRAVITY, covariance=None
     in_plane = np.asarray(accel_x, dtype=float)[..., :3]
     readings = np.concatenate([in_plane, np.asarray(accel_tipped, dtype=float)[..., None]], axis=-1)
     result = _level(lambda a: _from_three_axes(a, gravity), readings, gravity, covariance)
-    quality = result.quality | (Quality.SHARED_CHANNEL.value if shared_channel else 0)
-    return LevelResult(result.roll, result.pitch, result.covariance, result.bias, result.scale, quality)
+    return replace(result, quality=result.quality | Quality.SHARED_CHANNEL.value * shared_channel)
 
 
 def approximate_scale(scale):
@@ -141,7 +145,7 @@ def _level(solve, readings, gravity, covariance):
                        spread, bias, scale, quality)
 
 
-def level_jointly(fits, accel_z, params, gravity):
+def level_jointly(accel_x, accel_y, accel_z, params):
     """Level with every accelerometer there is: harmonic fits of x and y, and the z readings.
 
     The down direction seen by the table is fitted to the in-plane force and the force along the axis, each
@@ -149,31 +153,38 @@ def level_jointly(fits, accel_z, params, gravity):
 
     Parameters
     ----------
-    fits : sequence of (alignment.harmonic.HarmonicFit, float)
-        Fits of the accelerometers that see the table turn, each with the angle of its axis from body x, rad.
+    accel_x, accel_y : alignment.harmonic.HarmonicFit
+        Of the accelerometers that see the table turn, m/s^2.
     accel_z : float, m/s^2
         Mean reading along the table's axis.
     params : alignment.params.AlignmentParams
-    gravity : float, m/s^2
 
     Returns
     -------
     LevelResult
+        INCONSISTENT where x and y tell different tilts: they do not turn as the angles say.
     """
-    weight, weighted = np.zeros((3, 3)), np.zeros(3)
-    for fit, axis in fits:
-        # A sensor at this angle reads -g (down_x cos(tau + axis) + down_y sin(tau + axis)).
-        turn = -np.array([[np.cos(axis), -np.sin(axis)], [np.sin(axis), np.cos(axis)]]) / gravity
+    gravity = params.local_gravity
+    weight, weighted, found = np.zeros((3, 3)), np.zeros(3), []
+    for fit, turn in ((accel_x, np.eye(2)), (accel_y, Y_TO_PLANE)):
+        # At rest an accelerometer reads minus gravity.
+        turn = -turn / gravity
         down = turn @ fit.in_plane
-        covariance = turn @ fit.in_plane_covariance @ turn.T
-        information = np.linalg.inv(covariance + params.accel_scale_std ** 2 * np.outer(down, down))
+        covariance = turn @ fit.in_plane_covariance @ turn.T + params.accel_scale_std ** 2 * np.outer(down, down)
+        information = np.linalg.inv(covariance)
         weight[:2, :2] += information
         weighted[:2] += information @ down
+        found.append((down, covariance))
     down_z = -accel_z / gravity
     weight[2, 2] = 1 / ((params.accel_bias_std / gravity) ** 2 + (params.accel_scale_std * down_z) ** 2
                         + _DIFFERENCE_STEP ** 2)
     weighted[2] = weight[2, 2] * down_z
-    return _level_from_down(np.linalg.solve(weight, weighted), weight)
+    level = _level_from_down(np.linalg.solve(weight, weighted), weight)
+    (x_down, x_covariance), (y_down, y_covariance) = found
+    apart = x_down - y_down
+    deviations = math.sqrt(apart @ np.linalg.solve(x_covariance + y_covariance, apart))
+    differ = deviations > _MISFIT_LIMIT and np.linalg.norm(apart) > _LARGEST_DIFFERENCE
+    return replace(level, quality=level.quality | Quality.INCONSISTENT.value * differ)
 
 
 def _level_from_down(down, weight):

@@ -11,6 +11,7 @@ import numpy as np
 from alignment._kernels import MODE_GAP, search_heading
 from alignment.bounds import sensitivity
 from alignment.errors import UnobservableError
+from alignment.harmonic import Y_TO_PLANE
 from alignment.results import (
     LARGEST_SCALE_ERROR,
     SINGULAR_SENSITIVITY,
@@ -22,6 +23,9 @@ from inertial.earth import EARTH_RATE
 
 # Deviations of a misfit or of a scale factor that noise does not explain.
 _MISFIT_LIMIT = 5.0
+# Readings that scatter more than this many times their stated noise are not those of a table at rest. Less widens
+# the deviation of the result (HarmonicFit.widened): nobody knows his noise that well.
+_LARGEST_SCATTER = 3.0
 
 
 def find_north(fit_x, fit_y, level, level_covariance, latitude, priors):
@@ -53,7 +57,7 @@ def find_north(fit_x, fit_y, level, level_covariance, latitude, priors):
         raise ValueError(f"latitude = {latitude} rad: must be within +-pi/2")
     if np.cos(latitude) < SINGULAR_SENSITIVITY:
         raise UnobservableError(f"latitude = {np.degrees(latitude):.3f} deg: too near a pole for a heading")
-    channels = [(fit, rotation) for fit, rotation in ((fit_x, np.eye(2)), (fit_y, _Y_TO_PLANE))
+    channels = [(fit, rotation) for fit, rotation in ((fit_x, np.eye(2)), (fit_y, Y_TO_PLANE))
                 if fit is not None]
     if not channels:
         raise ValueError("neither fit_x nor fit_y is given")
@@ -69,8 +73,9 @@ def find_north(fit_x, fit_y, level, level_covariance, latitude, priors):
         np.full(count, priors.scale_std ** 2), np.full(count, priors.skew_std ** 2), level.reshape(-1, 2),
         np.asarray(level_covariance, dtype=float), float(latitude), priors.latitude_std ** 2,
         priors.table_zero_std ** 2, out)
-    excess = np.max([fit.excess for fit, _ in channels], axis=0)
-    return _result(out.reshape(*shape, 6), channels[0][0].bias, excess, covariance, level, latitude, priors)
+    scattered = np.any([(fit.excess > _MISFIT_LIMIT) & (fit.scatter > _LARGEST_SCATTER) for fit, _ in channels],
+                       axis=0)
+    return _result(out.reshape(*shape, 6), channels[0][0].bias, scattered, covariance, level, latitude, priors)
 
 
 def explain_scale(ratio):
@@ -88,11 +93,7 @@ def explain_scale(ratio):
     return f"{ratio:.3g} times the expected: the base turns, or the latitude or the level is wrong"
 
 
-# A y gyro reads Y cos(tau) - X sin(tau).
-_Y_TO_PLANE = np.array([[0.0, -1.0], [1.0, 0.0]])
-
-
-def _result(out, bias, excess, covariance, level, latitude, priors):
+def _result(out, bias, scattered, covariance, level, latitude, priors):
     heading, variance, misfit, second, gap, scale = np.moveaxis(out, -1, 0)
     reach = sensitivity(level[..., 0], level[..., 1], heading, latitude)
     blind = ~(reach >= SINGULAR_SENSITIVITY)
@@ -103,7 +104,7 @@ def _result(out, bias, excess, covariance, level, latitude, priors):
     scale_std = np.sqrt(np.trace(covariance[0]) + priors.scale_std ** 2)
     wrong_scale = np.abs(scale - 1) > LARGEST_SCALE_ERROR + _MISFIT_LIMIT * scale_std
     quality |= np.where(wrong_scale, Quality.SCALE.value, 0)
-    scattered = (misfit > _MISFIT_LIMIT ** 2) | (excess > _MISFIT_LIMIT)
+    scattered = scattered | (misfit > _MISFIT_LIMIT ** 2)
     quality |= np.where(scattered, Quality.INCONSISTENT.value, 0)
     second = np.where(ambiguous, second, np.nan)
     return HeadingResult(np.where(blind, np.nan, heading), np.where(blind, np.nan, variance),

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+from inertial.earth import STANDARD_GRAVITY, normal_gravity
 from inertial.parameters import check_parameters, parameter
 
 METHODS = ("joint", "azimuth_1a", "azimuth_1b", "azimuth_2", "azimuth_3", "azimuth_4", "azimuth_5",
@@ -63,4 +64,15 @@ class AlignmentParams(NorthPriors):
         math.radians(0.5), "rad", "How near two table angles are the same position.", 1e-6, 0.5)
     still_threshold: float = parameter(
         5.0, "", "Deviations by which a part of a dwell may differ from the rest.", 2.0)
+    joint_delay: float = parameter(
+        0.0, "s", "How late the stamps of the joint are against those of the IMU.", -1.0, 1.0)
+    joint_delay_std: float = parameter(
+        2e-3, "s", "Spread of that delay; matters to a table that turns one way only.", 0.0, 1.0)
     robust: bool = parameter(True, "", "Whether single outlying samples are left out.")
+
+    @property
+    def local_gravity(self):
+        """Magnitude of gravity, m/s^2."""
+        if not math.isnan(self.gravity):
+            return self.gravity
+        return STANDARD_GRAVITY if math.isnan(self.latitude) else float(normal_gravity(self.latitude))

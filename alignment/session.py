@@ -1,26 +1,26 @@
 """An alignment on a turntable from streams of samples: what ``alignment_node`` and ``align_bag`` run.
 
 It joins :class:`alignment.collector.DwellCollector`, :class:`alignment.station.TableAlignment` and
-:func:`alignment.station.align_turning`, chooses the method, and says why there is no heading when there is
-none.
+:class:`alignment.rotation.SteadyRotation`, chooses between these two and the method, and says why there is no
+heading when there is none.
 """
 
 import dataclasses
 import math
+from collections import deque
 
 import numpy as np
 
-from alignment.collector import DwellCollector
+from alignment.collector import DwellCollector, columns_of
 from alignment.dwells import Dwell
 from alignment.errors import NotEnoughDataError
 from alignment.north import explain_scale
 from alignment.results import SINGULAR_SENSITIVITY, UNBELIEVABLE, Quality
+from alignment.rotation import SteadyRotation
 from alignment.sequences import FOUR_POSITIONS
-from alignment.station import TableAlignment, align_turning
+from alignment.station import TableAlignment
 from alignment.turntable import Turntable, exact_readings
 
-_REFRESH = 5.0  # s of turning, or this share of it, after which it is solved anew
-_REFRESH_SHARE = 0.1
 _PREVIEW = 1.0  # s of standing from which a first level is given
 _FEWEST_ANGLES = 3
 _NO_LATITUDE = "the latitude is not known: level only"
@@ -46,12 +46,12 @@ class TableSession:
 
     def __init__(self, params, follow=True):
         self._follow = follow
-        self._station = TableAlignment(params)
+        self._station, self._rotation = TableAlignment(params), SteadyRotation(params)
         self._collector = DwellCollector(params)
         self.running = True
         self._remarks = []
-        self.params = params
         self.reset()
+        self.params = params
 
     @property
     def params(self):
@@ -69,18 +69,17 @@ class TableSession:
         elif math.isnan(params.latitude):
             self._no_latitude = _NO_LATITUDE
         used = dataclasses.replace(params, latitude=math.nan) if near_pole else params
-        self._station.params = self._collector.params = used
-        self._turned = None
-        self._turned_time = 0.0
-        if self._station.dwells:
-            self._solve()
+        self._station.params = self._rotation.params = self._collector.params = used
+        self._solve()
 
     def reset(self):
         """Forget everything that was measured."""
         self._station.reset()
+        self._rotation.reset()
         self._collector.reset()
-        self.result, self._turned, self._turned_time = None, None, 0.0
-        self._missing = ""
+        self._blocks = deque()
+        self._told_joint = ""
+        self.result, self._source, self._missing = None, None, ""
         self.wanted = self._next_angle()
 
     def stop(self):
@@ -88,7 +87,6 @@ class TableSession:
         changed = self.finish()
         self.running = False
         self._collector.pause()
-        self._turned_time = 0.0
         return changed
 
     def start(self):
@@ -128,12 +126,17 @@ class TableSession:
     @property
     def turning(self):
         """Whether the result is that of a table that turns steadily."""
-        return self._turned is not None and self.result is self._turned
+        return self._source is self._rotation
 
     @property
     def table_angle(self):
         """Last table angle, rad, NaN before the first."""
         return self._collector.angle
+
+    @property
+    def joint(self):
+        """What the moves tell of the joint: a :class:`alignment.joint_check.JointVerdict`."""
+        return self._collector.joint_check.verdict()
 
     @property
     def lost(self):
@@ -178,6 +181,10 @@ class TableSession:
         level, north = self.result.level, self.result.north
         if level.flags & Quality.SCALE:
             return f"the accelerometers read {explain_scale(float(level.scale))}"
+        if self.joint.error:
+            return self.joint.error
+        if level.flags & Quality.INCONSISTENT:
+            return "the x and y accelerometers tell different tilts: do they turn as the joint's angle says?"
         if self._no_latitude:
             return self._no_latitude
         if north is None:
@@ -194,29 +201,30 @@ class TableSession:
         return self.result.reason
 
     def compare(self):
-        """Return levels and headings by every method that the dwells serve: two dicts, name to result.
+        """Return levels and headings by every method that can be had: two dicts, name to result.
 
         Raises
         ------
         NotEnoughDataError
             No dwell yet.
         """
-        levels = self._station.compare_levelling()
-        headings = {} if self._no_latitude else self._station.compare_methods(
-            level=levels.get(self.params.levelling))
+        source = self._source or self._station
+        levels = source.compare_levels()
+        headings = {} if self._no_latitude else source.compare_headings(levels.get(self.params.levelling))
         return levels, headings
 
     def _add(self, dwells):
         for dwell in dwells:
-            reason = self._station.add(dwell)
-            where = f"at {math.degrees(dwell.angle) % 360:.2f} deg"
-            self._remarks.append((not reason, f"dwell {where} rejected: {reason}" if reason else
-                                  f"dwell {len(self.dwells)} {where}: {dwell.duration:.1f} s, "
-                                  f"{dwell.kept:.1%} of the samples"))
-            self.wanted = self._next_angle()
-        if not dwells or not self.dwells:
+            rejected = len(self.rejected)
+            if not self._station.add(dwell):
+                self._remarks.append((True, f"dwell {len(self.dwells)} {_where(dwell)}: {dwell.duration:.1f} s, "
+                                            f"{dwell.kept:.1%} of the samples"))
+            self._remarks += [(False, f"dwell {_where(bad)} rejected: {bad.rejection}")
+                              for bad in self.rejected[rejected:]]
+        if not dwells:
             return False
         self._solve()
+        self.wanted = self._next_angle()
         return True
 
     def _next_angle(self):
@@ -236,31 +244,40 @@ class TableSession:
         return True
 
     def _turn(self, last=False):
-        """Solve the steady turning again when there is enough more of it."""
-        time = self._collector.turned_time
-        wanted = self._turned_time + (0.0 if last else max(_REFRESH, _REFRESH_SHARE * self._turned_time))
-        if not time > wanted:
+        """Take in what has come of steady turning, a block at a time, and solve it when there is no more."""
+        self._blocks += self._collector.take_turning(last)
+        if not self._blocks:
             return False
-        self._turned_time = time
-        try:
-            self._turned = align_turning(*self._collector.turning_samples(), self._station.params)
-        except NotEnoughDataError:
-            return False
-        self._choose()
-        return True
+        if not self._rotation.started:
+            self._rotation.start(*columns_of(np.concatenate(self._blocks)))
+        for _ in range(len(self._blocks) if last else 1):
+            self._rotation.add(*columns_of(self._blocks.popleft()))
+        return not self._blocks and self._solve()
 
     def _solve(self):
-        self.result, self._missing = self._by_method(self._station.result())
-        self._choose()
+        """Take the better of what the dwells and what the steady turning tell; return whether there is any."""
+        self._judge_joint()
+        best = None
+        for source in (self._station, self._rotation):
+            try:
+                found = source.result()
+            except NotEnoughDataError:
+                continue
+            if best is None or _deviations(found) < _deviations(best[0]):
+                best = found, source
+        if best is None:
+            return False
+        found, self._source = best
+        self.result, self._missing = self._by_method(found)
+        return True
 
-    def _choose(self):
-        """Take the steady turning's result where it is the better one."""
-        turned = self._turned
-        if turned is None or (turned.north is None and self.dwells):
-            return
-        rival = self.result.north if self.result is not None else None
-        if rival is None or not rival.std <= turned.north.std:
-            self.result, self._missing = turned, ""
+    def _judge_joint(self):
+        """Tell what the moves say of the joint, when it is something new."""
+        verdict = self._collector.joint_check.verdict()
+        told = verdict.error or verdict.warning
+        if told and told.partition(":")[0] != self._told_joint:
+            self._told_joint = told.partition(":")[0]
+            self._remarks.append((False, told))
 
     def _by_method(self, found):
         """Return the result with level and heading by the parameters' methods, and what these lack."""
@@ -277,6 +294,17 @@ class TableSession:
         if method == "joint":
             north, time_left = found.north, found.time_left
         return dataclasses.replace(found, level=levels[levelling], north=north, time_left=time_left), ""
+
+
+def _deviations(found):
+    """Return the heading's deviation, infinite where there is none, and the level's: the better result has the less."""
+    north = found.north
+    there = north is not None and np.isfinite(north.std)
+    return float(north.std) if there else math.inf, float(np.trace(found.level.covariance))
+
+
+def _where(dwell):
+    return f"at {math.degrees(dwell.angle) % 360:.2f} deg"
 
 
 def warm_up(params):

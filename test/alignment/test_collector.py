@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from alignment.collector import DwellCollector
+from alignment.collector import DwellCollector, columns_of
 from alignment.params import AlignmentParams
 
 RATE_NS = 20_000_000  # between samples
@@ -112,12 +112,21 @@ def test_turning_is_recognised_after_a_full_turn_and_rocking_is_not():
     collector = DwellCollector(PARAMS)
     angles = track(0.0, (2.0, 0.0), (10.0, 5 * math.pi), (1.0, 5 * math.pi), (10.0, 0.0))
     assert feed(collector, angles) == []
-    time, angle, gyro_b, accel_b = collector.turning_samples()
-    assert collector.turned_time == pytest.approx(21.0, abs=3 * SAMPLE)
+    blocks = collector.take_turning(last=True)
+    assert len(blocks) > 3 and collector.take_turning(last=True) == []
+    time, angle, gyro_b, accel_b = columns_of(np.concatenate(blocks))
+    assert np.ptp(time) == pytest.approx(21.0, abs=3 * SAMPLE)
     assert np.ptp(angle) == pytest.approx(5 * math.pi, rel=0.01)
     assert gyro_b.shape == accel_b.shape == (len(time), 3)
     rate = np.gradient(angle, time)
     assert min(np.mean(rate > 0), np.mean(rate < 0)) > 0.4
+
+
+def test_a_table_that_rocks_for_ever_keeps_no_samples():
+    collector = DwellCollector(PARAMS)
+    feed(collector, track(0.0, (1.0, 0.0), *[(0.5, QUARTER), (0.5, 0.0)] * 100))
+    assert collector.take_turning(last=True) == []
+    assert len(collector._moving) < 100
 
 
 def test_reset_forgets_everything():

@@ -7,12 +7,13 @@ import re
 import numpy as np
 import pytest
 
+from alignment.azimuth import METHODS
 from alignment.dwells import Dwell, reduce_dwell
 from alignment.errors import NotEnoughDataError
 from alignment.params import AlignmentParams
 from alignment.results import Quality, wrap_angle
-from alignment.sequences import FOUR_POSITIONS, continuous_rotation, indexed_schedule
-from alignment.station import TableAlignment, align_turning
+from alignment.sequences import FOUR_POSITIONS, indexed_schedule
+from alignment.station import TableAlignment
 from alignment.turntable import TriadErrors, Turntable, exact_readings, simulate_readings
 
 DEG = np.pi / 180
@@ -160,27 +161,63 @@ def test_two_angles_or_no_latitude_give_no_heading():
     assert result.level.flags == Quality(0)
 
 
-def test_a_disturbed_dwell_makes_the_heading_inconsistent():
+def _disturbed(table, start, change_b):
+    reading = exact_readings(table, 1.0)
+    return Dwell(1.0, start, start + 15.0, reading.gyro_b + NOISE.bias + change_b, reading.accel_b + FORCE_NOISE.bias)
+
+
+def test_a_dwell_that_disagrees_with_all_the_others_is_rejected():
     rng, table, station = np.random.default_rng(9), _table(), TableAlignment(PARAMS)
     for angle in FOUR_POSITIONS * 2:
         _add(station, table, angle, rng)
-    assert station.result().believable
-    start = station.dwells[-1].end
-    reading = exact_readings(table, 1.0)
-    disturbed = reading.gyro_b + NOISE.bias + [0.0, 1e-5, 0.0]
-    assert station.add(Dwell(1.0, start, start + 15.0, disturbed, reading.accel_b + FORCE_NOISE.bias)) == ""
-    assert not station.result().believable
-    assert Quality.INCONSISTENT in station.result().north.flags
+    before = station.result().north
+    disturbed = _disturbed(table, station.dwells[-1].end, [0.0, 1e-5, 0.0])
+    assert re.match("its y gyro is 36.5 deviations off the other dwells", station.add(disturbed))
+    assert len(station.dwells) == 8 and station.rejected[0].angle == disturbed.angle
+    assert station.result().north.heading == before.heading
+
+
+def test_a_disturbed_dwell_among_the_first_is_found_when_there_are_others():
+    rng, table, station = np.random.default_rng(10), _table(), TableAlignment(PARAMS)
+    assert station.add(_disturbed(table, 0.0, [3e-5, 0.0, 0.0])) == ""
+    for angle in FOUR_POSITIONS * 2:
+        assert _add(station, table, angle, rng) == ""
+    assert [dwell.start for dwell in station.rejected] == [0.0]
+    result = station.result()
+    assert result.believable and abs(wrap_angle(result.north.heading - table.heading)) < SIGMAS * result.north.std
+
+
+def test_dwells_that_disagree_among_themselves_are_inconsistent():
+    rng, table, station = np.random.default_rng(9), _table(), TableAlignment(PARAMS)
+    for k, angle in enumerate(FOUR_POSITIONS * 2):
+        _add(station, table, angle, rng)
+        start = station.dwells[-1].end
+        station.add(_disturbed(table, start, (-1) ** k * np.array([1e-5, 2e-5, 0.0])))
+    assert not station.rejected
+    assert Quality.INCONSISTENT in station.result().north.flags and not station.result().believable
+
+
+def test_readings_that_scatter_a_little_more_than_stated_widen_the_deviation():
+    rng, table = np.random.default_rng(12), _table()
+    honest, hopeful = TableAlignment(PARAMS), TableAlignment(
+        dataclasses.replace(PARAMS, gyro_noise_density=PARAMS.gyro_noise_density / 2,
+                            gyro_bias_instability=PARAMS.gyro_bias_instability / 2))
+    for angle in FOUR_POSITIONS * 10:
+        _add(honest, table, angle, rng)
+        hopeful.add(honest.dwells[-1])
+    assert hopeful.result().believable
+    assert hopeful.result().north.std == pytest.approx(honest.result().north.std, rel=0.25)
 
 
 def test_methods_are_compared_with_the_joint_one():
     rng, table, station = np.random.default_rng(6), _table(), TableAlignment(PARAMS)
     for angle in FOUR_POSITIONS:
         _add(station, table, angle, rng, 150.0)
-    results = station.compare_methods()
-    assert set(results) == {"joint", "azimuth_1a", "azimuth_1b", "azimuth_4", "azimuth_5", "azimuth_6"}
-    for name in ("joint", "azimuth_1a", "azimuth_4"):
-        assert abs(wrap_angle(results[name].heading - table.heading)) < 0.3 * DEG, name
+    results = station.compare_headings()
+    assert set(results) == {"joint", *METHODS}
+    for name in ("joint", "azimuth_1a", "azimuth_1b", "azimuth_2", "azimuth_3", "azimuth_4", "azimuth_5"):
+        error = abs(wrap_angle(results[name].heading - table.heading))
+        assert error < SIGMAS * results[name].std, name
     assert Quality.SHARED_CHANNEL in results["azimuth_6"].flags
 
 
@@ -192,36 +229,3 @@ def test_overlapping_dwells_are_refused():
     assert station.add(overlapping) == "it overlaps the dwell before"
     station.reset()
     assert (station.dwells, station.rejected) == ((), [])
-
-
-@pytest.mark.parametrize("both_ways", [True, False])
-def test_a_turning_table_is_aligned_from_its_samples(both_ways):
-    schedule = continuous_rotation(6 * DEG, 600.0, 0.05, both_ways)
-    table = _table(20, -15, 140)
-    noise = TriadErrors(bias=NOISE.bias, noise_density=NOISE.noise_density)
-    readings = simulate_readings(table, schedule, noise, FORCE_NOISE, np.random.default_rng(7))
-    result = align_turning(schedule.end, schedule.angle, readings.gyro_b, readings.accel_b, PARAMS)
-    assert result.believable
-    assert abs(wrap_angle(result.north.heading - table.heading)) < SIGMAS * result.north.std
-    assert result.north.std < 0.1 * DEG
-    assert result.level.roll == pytest.approx(table.roll, abs=1e-3)
-
-
-@pytest.mark.parametrize("both_ways, use_y, low_deg, high_deg, flags", [
-    (True, False, 0.0, 0.001, Quality(0)), (False, False, 0.1, 1.0, Quality.INCONSISTENT),
-    (True, True, 0.0, 0.001, Quality(0)), (False, True, 0.0, 0.001, Quality.INCONSISTENT)])
-def test_wobble_cancels_by_turning_back_and_is_noticed_otherwise(both_ways, use_y, low_deg, high_deg, flags):
-    table = Turntable(0.1, 0.1, 1.0, LATITUDE, wobble=DEG / 3600)
-    schedule = continuous_rotation(6 * DEG, 240.0, 0.05, both_ways)
-    readings = exact_readings(table, schedule.angle, schedule.rate)
-    result = align_turning(schedule.end, schedule.angle, readings.gyro_b, readings.accel_b,
-                           dataclasses.replace(PARAMS, use_y_gyro=use_y, robust=False))
-    error_deg = np.degrees(abs(wrap_angle(result.north.heading - table.heading)))
-    assert low_deg <= error_deg <= high_deg
-    assert result.north.flags == flags
-
-
-def test_a_table_at_rest_does_not_turn():
-    time, angle, gyro_b, accel_b = _samples()
-    with pytest.raises(NotEnoughDataError, match="does not turn"):
-        align_turning(time, angle, gyro_b, accel_b, PARAMS)
