@@ -72,6 +72,7 @@ setup(
             "navigate_bag = attitude_estimator.navigation.cli:main",
             "simulate_bag = nav_ros.cli:simulate_bag_main",
             "score_bag = nav_ros.cli:score_bag_main",
+            "report_bag = nav_ros.report_cli:main",
             "allan = nav_ros.allan_cli:main",
             "attitude_demo = nav_ros.demo:main",
             "study_recordings = studies.recordings:main",

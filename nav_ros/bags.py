@@ -39,18 +39,20 @@ from nav_ros.messages import (
     PRESSURE,
     QUATERNION,
     TWIST,
+    VECTOR,
     decode_batch,
 )
 
 TOPICS = {"imu": "/imu/data_raw", "altitude": "/altitude", "pressure": "/pressure",
           "truth": "/ground_truth/attitude", "true_odometry": "/ground_truth/odometry",
           "joints": "/joint_states", "fix": "/fix", "velocity": "/velocity", "inclinometer": "/inclinometer",
-          "heading": "/heading", "output": "/imu/data"}
+          "heading": "/heading", "output": "/imu/data", "state": "/attitude/state", "odometry": "/odometry",
+          "gyro_bias": "/imu/gyro_bias", "accel_bias": "/imu/accel_bias"}
 """What is on which topic unless told otherwise."""
 
 TYPES = {"imu": IMU, "altitude": POINT, "pressure": PRESSURE, "truth": QUATERNION, "true_odometry": ODOMETRY,
          "joints": JOINTS, "fix": FIX, "velocity": TWIST, "inclinometer": QUATERNION, "heading": POSE,
-         "output": IMU}
+         "output": IMU, "state": ODOMETRY, "odometry": ODOMETRY, "gyro_bias": VECTOR, "accel_bias": VECTOR}
 """The message type of each of :data:`TOPICS`."""
 
 _SUFFIXES = (".mcap", ".db3")

@@ -12,16 +12,14 @@ import difflib
 import json
 import sys
 import warnings
+from functools import partial
 
 import numpy as np
 from tqdm import tqdm
 
 from inertial.imu_errors import PROFILES
-from inertial.recording import AttitudeSeries
-from inertial.scoring import score_attitude
-from nav_ros.bags import TOPICS, TYPES, BagError, BagReader, BagWarning, BagWriter
-from nav_ros.frames import q_nb_from_orientation, swap_enu_ned_covariance
-from nav_ros.messages import ORIENTATION, ORIENTATION_COVARIANCE, decode_batch
+from nav_ros.bags import TOPICS, BagError, BagWarning, BagWriter
+from nav_ros.estimated import read_run
 from nav_ros.parameters import load_parameter_file, parameter_names, params_from_values
 from nav_ros.recorded import recorded_messages
 from nav_ros.simulated import DESCRIPTIONS, simulate_scenario
@@ -164,21 +162,8 @@ def score_bag(path, topics=TOPICS):
     ValueError
         There is nothing to score.
     """
-    raws = {topics["output"]: [], topics["truth"]: []}
-    with BagReader(path) as bag:
-        for key in ("output", "truth"):
-            bag.require(topics[key], TYPES[key])
-        for message in progress(bag.messages(raws), "reading"):
-            raws[message.topic].append(message.raw)
-    output = decode_batch(TYPES["output"], raws[topics["output"]])
-    truth = decode_batch(TYPES["truth"], raws[topics["truth"]])
-    for key, batch in (("output", output), ("truth", truth)):
-        if batch.malformed:
-            raise BagError(f"{path}: {len(batch.malformed)} malformed messages on {topics[key]}")
-    covariance = output.values[:, ORIENTATION_COVARIANCE].reshape(-1, 3, 3)
-    return score_attitude(output.stamp_ns, q_nb_from_orientation(output.values[:, ORIENTATION]),
-                          swap_enu_ned_covariance(covariance)[:, :2, :2], covariance[:, 0, 0] >= 0.0,
-                          AttitudeSeries(truth.stamp_ns, q_nb_from_orientation(truth.values)))
+    run = read_run(path, topics, need=("truth",), also=(), progress=partial(progress, what="reading"))
+    return run.attitude.score()
 
 
 def _simulate_parser():

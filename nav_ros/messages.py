@@ -126,7 +126,7 @@ def decode(message_type, raw):
     Parameters
     ----------
     message_type : str
-        A key of :data:`DOUBLES` other than :data:`ODOMETRY`.
+        A key of :data:`DOUBLES`.
     raw : bytes
         Little-endian CDR with its encapsulation header.
 
@@ -148,12 +148,21 @@ def decode(message_type, raw):
     if size < _FRAME_START or raw[0:2] != _LITTLE_ENDIAN:
         raise MalformedMessageError(_encapsulation_fault(raw))
     (length,) = _unpack_length(raw, 12)
-    if size != 4 + (12 + length + 7 & ~7) + 8 * count:
+    text = length if message_type != ODOMETRY else _length_with_child(raw, length)
+    if size != 4 + (12 + text + 7 & ~7) + 8 * count:
         raise MalformedMessageError(f"{size} bytes do not fit a frame_id of {length} and {count} doubles")
-    fields = _layout(length, count).unpack(raw)
+    fields = _layout(text, count).unpack(raw)
     sec, nanosec, frame = fields[:3]
     stamp_ns = sec * NANOSECONDS + nanosec if sec >= 0 and nanosec < NANOSECONDS else INVALID_STAMP
-    return stamp_ns, _frame_text(frame), fields[3:]
+    return stamp_ns, _frame_text(frame[:length]), fields[3:]
+
+
+def _length_with_child(raw, length):
+    """Bytes from the frame_id of an Odometry to the end of its child_frame_id, which stands behind it."""
+    at = length + -length % 4
+    if _FRAME_START + at + 4 > len(raw):
+        raise MalformedMessageError(f"{len(raw)} bytes are too few for a child_frame_id")
+    return at + 4 + _unpack_length(raw, _FRAME_START + at)[0]
 
 
 class Fix(NamedTuple):
@@ -299,7 +308,7 @@ def decode_batch(message_type, raws):
     -------
     MessageBatch
     """
-    batch = _decode_uniform(raws, DOUBLES[message_type])
+    batch = None if message_type == ODOMETRY else _decode_uniform(raws, DOUBLES[message_type])
     return _decode_one_by_one(message_type, raws) if batch is None else batch
 
 

@@ -103,7 +103,7 @@ def test_executable_answers(name, tmp_path):
 
 def test_there_are_executables():
     assert {"attitude_node", "alignment_node", "navigation_node", "replay_node", "estimate_bag", "align_bag",
-            "navigate_bag", "simulate_bag", "score_bag", "attitude_demo"} <= set(own_executables())
+            "navigate_bag", "simulate_bag", "score_bag", "report_bag", "attitude_demo"} <= set(own_executables())
 
 
 def test_bundled_bags(repository):

@@ -121,7 +121,8 @@ def test_a_bag_without_estimates_names_the_topics(tmp_path, capsys):
     with pytest.raises(SystemExit):
         run(cli.score_bag_main, tmp_path / "run")
     (line,) = capsys.readouterr().err.splitlines()
-    assert "no topic /imu/data; topics there: /altitude, /ground_truth/attitude, /imu/data_raw" in line
+    assert "no topic /imu/data, which estimate_bag" in line
+    assert line.endswith("topics there: /altitude, /ground_truth/attitude, /imu/data_raw")
 
 
 def test_a_warning_takes_one_line(tmp_path, capsys):

@@ -23,7 +23,7 @@ from nav_ros.messages import (
 
 FRAMES = ["", "a", "imu", "imu_", "base_link", "imué", "机体", "x" * 63]
 STAMP_NS = 1_700_000_000_123_456_789
-STAMPED = [name for name in DOUBLES if name != ODOMETRY]
+STAMPED = list(DOUBLES)
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
