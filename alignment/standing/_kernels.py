@@ -35,14 +35,14 @@ CONSTANT_NAMES = (
  C_VARIANT, C_HORIZON, C_WEIGHT_RATIO, C_GAIN_PERIOD) = range(len(CONSTANT_NAMES))
 
 # Mean of a filter: velocity, biases, then for the error model its state and the one before it, each up to ten.
-(M_V, M_BG, M_BA, M_X, M_BEFORE, M_FORCE, M_FORCE_BEFORE, M_ERROR, M_SIZE) = (0, 3, 6, 9, 19, 29, 32, 35, 40)
+(M_V, M_BG, M_BA, M_X, M_BEFORE, M_FORCE, M_RATE_BEFORE, M_ERROR, M_SIZE) = (0, 3, 6, 9, 19, 29, 32, 37, 42)
 
 # Quality of a filter, kept beside the mean.
 (Q_TIME, Q_SINCE_UPDATE, Q_SINCE_FEEDBACK, Q_SINCE_GAIN, Q_SCALE, Q_NIS, Q_BLOCK, Q_BLOCK_VAR, Q_BLOCK_COUNT,
  Q_REJECTED, Q_ACCEPTED, Q_MOVING, Q_TURN, Q_EAST, Q_COST, Q_ALARM, Q_STARTED, Q_SWING, Q_REFERENCE,
- Q_TURNED, Q_SIZE) = (
+ Q_TURNED, Q_RATE, Q_SIZE) = (
     0, 1, 2, 3, 4, 5, 6, 9, 12, 13, 14, 15, 16, 17, 20, 21, 22, 23, 24,
-    27, 28)
+    27, 28, 31)
 
 # A row of output: quaternion, upper triangle of the covariance of the small rotation in navigation axes, velocity,
 # biases, their variances, normalised innovation squared, IPA cost J*.
@@ -54,6 +54,7 @@ CONSTANT_NAMES = (
 
 NOTHING, MOVED, STANDS, ALARM = range(4)  # what a run stopped for
 
+SMALL_SQUARE = 1e-4  # rad^2, below which three terms of sine and cosine reach 1e-15
 FLICKER = 2.0  # growth of a bias variance with the logarithm of time, in squares of the Allan deviation floor
 AFTER_TURN = 10.0  # s that count as passed at the end of a turn
 HUBER = 2.0  # standard deviations within which a zero velocity has its full weight
@@ -61,6 +62,7 @@ GATE = 8.0  # standard deviations beyond which it is no zero velocity
 BLOCK = 10  # zero velocities whose mean innovation tells what noise the slow motion of the vehicle makes
 MEMORY = 20.0  # blocks over which that is remembered
 LARGEST_SCALE = 400.0  # of the zero-velocity variance, beyond which the attitude itself is doubted
+RATE_TIME = 1.0  # s that a rate is a mean of, before it counts as a turn: who steps in rocks a vehicle to and fro
 REJECTION_TIME = 1.0  # s of rejected zero velocities that count as motion
 STANDING_TIME = 2.0  # s of zero velocities that end it
 
@@ -71,7 +73,12 @@ STANDING_TIME = 2.0  # s of zero velocities that end it
 @njit(cache=True, error_model="numpy")
 def _rotation(x, y, z, out):
     """Fill out (3, 3) with exp([v x])."""
-    a, b, _, _ = zoh_coefficients(math.sqrt(x * x + y * y + z * z))
+    square = x * x + y * y + z * z
+    if square < SMALL_SQUARE:
+        a = 1.0 - square * (1.0 / 6.0 - square * (1.0 / 120.0))
+        b = 0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0))
+    else:
+        a, b, _, _ = zoh_coefficients(math.sqrt(square))
     out[0, 0], out[0, 1], out[0, 2] = 1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
     out[1, 0], out[1, 1], out[1, 2] = b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x
     out[2, 0], out[2, 1], out[2, 2] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
@@ -570,13 +577,13 @@ def run_group(model, c, R, m, P, q, steps, rows):
 
         variance = c[C_ZERO_VAR] * q[Q_SCALE]
         nis = 0.0
-        speed2 = 0.0
+        speed2 = rate2 = 0.0
         for i in range(3):
+            q[Q_RATE + i] += (step[STEP_DTHETA + i] / t - m[M_BG + i] - q[Q_RATE + i]) * min(t / RATE_TIME, 1.0)
+            rate2 += q[Q_RATE + i] ** 2
             s[i] = variance + _innovation_variance(P, H[i], n)
             nis += after[0, i] ** 2 / s[i]
             speed2 += after[0, i] ** 2
-        rate2 = ((step[STEP_DTHETA] / t - m[M_BG]) ** 2 + (step[STEP_DTHETA + 1] / t - m[M_BG + 1]) ** 2
-                 + (step[STEP_DTHETA + 2] / t - m[M_BG + 2]) ** 2)
         turning = rate2 > c[C_LARGEST_RATE] ** 2 and c[C_TURNING_ALLOWED] == 0.0
         too_fast = speed2 > c[C_LARGEST_VELOCITY] ** 2 + 9.0 * (s[0] + s[1] + s[2])
         moving = step[STEP_MOVING] != 0.0 or (c[C_ROBUST] != 0.0 and (turning or too_fast))
@@ -813,36 +820,53 @@ def _invert(a, n):
 
 
 @njit(cache=True, error_model="numpy")
-def _model_error(c, dt, m, y, R, before, now, ipa, increment):
-    """Fill the IPA's first increment Dm* and return the cost J* (the page's free response, gain and cost)."""
-    rows, gain, weight, free, e = ipa
-    p = len(rows)
-    x = m[M_X:M_X + 10]
-    if c[C_VARIANT] == RESIDUAL:
-        for i in range(p):
-            free[2 * i], free[2 * i + 1] = x[0] - y[0], x[1] - y[1]
-    else:
-        model_rate(c, 5, m[M_BEFORE:M_BEFORE + 10], m[M_FORCE_BEFORE:M_FORCE_BEFORE + 3], R, before)
-        model_rate(c, 5, x, m[M_FORCE:M_FORCE + 3], R, now)
-        for i in range(5):
-            e[i] = x[i] - m[M_BEFORE + i] + dt * (now[i] - before[i])
-        for i in range(p):
+def _fill_short_gain(rows, gain, short):
+    """Fill short (5, 7) with the gain on what makes the free response: its constant part (2,), and e (5,)."""
+    for i in range(5):
+        for j in range(7):
+            short[i, j] = 0.0
+        for k in range(len(rows)):
             for a in range(2):
-                total = x[a]
+                short[i, a] += gain[i, 2 * k + a]
                 for j in range(5):
-                    total += rows[i, a, j] * e[j]
-                free[2 * i + a] = total
+                    short[i, 2 + j] += gain[i, 2 * k + a] * rows[k, a, j]
+
+
+@njit(cache=True, error_model="numpy")
+def _model_error(c, dt, m, y, rate, short, response, increment):
+    """Fill what makes the IPA's free response (7,) and the first increment Dm*.
+
+    The free response of equation 3 is ``free_i = H x + H S_i e``, that of the residual form ``H x - y``, e = 0.
+    """
+    x = m[M_X:M_X + 10]
+    residual = c[C_VARIANT] == RESIDUAL
+    for a in range(2):
+        response[a] = x[a] - (y[a] if residual else 0.0)
+    if not residual:
+        for i in range(5):
+            response[2 + i] = x[i] - m[M_BEFORE + i] + dt * (rate[i] - m[M_RATE_BEFORE + i])
     for i in range(5):
         total = 0.0
-        for j in range(2 * p):
-            total += gain[i, j] * free[j]
+        for j in range(7):
+            total += short[i, j] * response[j]
         increment[i] = -total
+
+
+@njit(cache=True, error_model="numpy")
+def _predictive_cost(ipa):
+    """Return J* of the last free response."""
+    rows, _, weight, _, response = ipa
+    free = np.empty(2 * len(rows))
     cost = 0.0
-    for i in range(2 * p):
-        total = 0.0
-        for j in range(2 * p):
+    for i in range(len(free)):
+        total = response[i % 2]
+        for j in range(5):
+            total += rows[i // 2, i % 2, j] * response[2 + j]
+        free[i] = total
+        total *= 0.5 * weight[i, i]
+        for j in range(i):
             total += weight[i, j] * free[j]
-        cost += free[i] * total
+        cost += 2.0 * free[i] * total
     return cost
 
 
@@ -900,7 +924,7 @@ def _unscented(c, dt, m, R, P, L, points, rate):
 
 
 @njit(cache=True, error_model="numpy")
-def _feed_back(n, R, m, frame, scratch):
+def _feed_back(c, n, R, m, frame, scratch):
     """Correct the strapdown by the state and start the state anew at zero, its predecessor shifted alike."""
     _true_attitude(R, m[M_X:M_X + 10], frame, scratch)
     _copy(scratch, R)
@@ -912,6 +936,7 @@ def _feed_back(n, R, m, frame, scratch):
     for i in range(10):
         m[M_BEFORE + i] -= m[M_X + i]
         m[M_X + i] = 0.0
+    model_rate(c, 5, m[M_BEFORE:M_BEFORE + 10], m[M_FORCE:M_FORCE + 3], R, m[M_RATE_BEFORE:M_ERROR])
 
 
 @njit(cache=True, error_model="numpy")
@@ -923,7 +948,7 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
     model, c, R, m, P, q
         As of :func:`run_group`; R is the computed attitude.
     ipa : tuple of arrays
-        ``rows, gain, weight`` of :func:`fill_gain`, and room for the free response (2 p,) and e (5,).
+        ``rows, gain, weight`` of :func:`fill_gain`, and room for the short gain (5, 7) and what it is for (7,).
     dt : (N,) float64, s
     gyro_b, accel_b : (N, 3) float64
     standing : bool
@@ -936,7 +961,7 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
     loop = not (model == IPEKF and c[C_VARIANT] == PAPER_LITERAL) and c[C_FEEDBACK_PERIOD] > 0.0
     A, scratch, points = np.empty((10, 10)), np.zeros((10, 10)), np.empty((21, 10))
     turn, small = np.empty((3, 3)), np.empty((3, 3))
-    rate, before, increment = np.empty(10), np.empty(10), np.zeros(5)
+    rate, increment = np.empty(10), np.zeros(5)
     delta, gain, bias = np.empty(10), np.empty(10), np.empty(6)
     h, z, s = np.zeros((2, 10)), np.empty(2), np.empty(2)
     h[0, 0] = h[1, 1] = 1.0
@@ -946,14 +971,12 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
         t = dt[k]
         for i in range(3):
             q[Q_EAST + i] += t * R[1, i]
-            m[M_FORCE_BEFORE + i] = f[i]
         for i in range(6):
             bias[i] = m[M_BG + i]
         z[0], z[1] = m[M_V], m[M_V + 1]
         strapdown_step(c, R, m, t, gyro_b[k], accel_b[k], bias, turn, small)
         q[Q_TIME] += t
 
-        cost = np.nan
         if model == UKF10:
             _unscented(c, t, m, R, P, scratch, points, rate)
         else:
@@ -962,28 +985,26 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
                 for j in range(n):
                     A[i, j] *= t
                 A[i, i] += 1.0
+            model_rate(c, n, x, f, R, rate)
             if model == IPEKF:
                 if q[Q_STARTED] == 0.0:
                     for i in range(5):
-                        m[M_BEFORE + i] = x[i]
-                    for i in range(3):
-                        m[M_FORCE_BEFORE + i] = f[i]
+                        m[M_BEFORE + i], m[M_RATE_BEFORE + i] = x[i], rate[i]
                 if q[Q_STARTED] == 0.0 or q[Q_SINCE_GAIN] >= c[C_GAIN_PERIOD] - 0.5 * t:
                     fill_gain(len(ipa[0]), c[C_WEIGHT_RATIO], t, A, ipa[0], ipa[1], ipa[2])
+                    _fill_short_gain(ipa[0], ipa[1], ipa[3])
                     q[Q_SINCE_GAIN] = 0.0
                 q[Q_SINCE_GAIN] += t
-                cost = _model_error(c, t, m, z, R, before, rate, ipa, increment)
+                _model_error(c, t, m, z, rate, ipa[3], ipa[4], increment)
                 for i in range(5):
                     m[M_ERROR + i] += increment[i]
                     if c[C_VARIANT] == RESIDUAL:
                         increment[i] = m[M_ERROR + i]
-                    m[M_BEFORE + i] = x[i]
+                    m[M_BEFORE + i], m[M_RATE_BEFORE + i] = x[i], rate[i]
                 q[Q_STARTED] = 1.0
-            model_rate(c, n, x, f, R, rate)
             for i in range(n):
                 x[i] += t * (rate[i] + (increment[i] if i < 5 else 0.0))
             _carry(P, A, n, scratch)
-        q[Q_COST] = cost
         P[0, 0] += t * c[C_ACCEL_VAR]
         P[1, 1] += t * c[C_ACCEL_VAR]
         for i in range(3):
@@ -1015,9 +1036,12 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
             q[Q_SINCE_UPDATE] = 0.0
         q[Q_SINCE_FEEDBACK] += t
         if loop and q[Q_SINCE_FEEDBACK] >= c[C_FEEDBACK_PERIOD] - 0.5 * t:
-            _feed_back(n, R, m, turn, small)
+            _feed_back(c, n, R, m, turn, small)
             q[Q_SINCE_FEEDBACK] = 0.0
-        if len(rows) > 0 and (k + 1) % every == 0:
+        wanted = len(rows) > 0 and (k + 1) % every == 0
+        if wanted or event != NOTHING or k == len(dt) - 1:
+            q[Q_COST] = _predictive_cost(ipa) if model == IPEKF else np.nan
+        if wanted:
             error_model_row(model, R, m, P, q, rows[(k + 1) // every - 1])
         if event != NOTHING:
             return k + 1, event

@@ -133,7 +133,7 @@ class StandingAligner:
     def reset(self):
         """Forget everything that was measured."""
         self._stamp_ns = None
-        self._step = np.zeros(kernels.A_SIZE)
+        self._step, self._rate = np.zeros(kernels.A_SIZE), np.zeros(3)
         self._held, self._singles = _Samples.none(), []
         self._one = _Samples(np.zeros(1, dtype=np.int64), np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
         self._one_step, self._one_end = np.empty((1, kernels.STEP_SIZE)), np.empty(1, dtype=np.int64)
@@ -335,7 +335,7 @@ class StandingAligner:
         self._biases, self._bias_covariance = biases, bias_covariance
         self._moved, self._still_time, self._scale = False, 0.0, 1.0
         self._sums = np.zeros(kernels.O_SIZE)
-        self._force, self._turn = np.zeros(3), np.zeros(3)
+        self._force, self._turn, self._sway_var = np.zeros(3), np.zeros(3), 0.0
         self._steps = []
 
     def _approach(self, step):
@@ -376,7 +376,8 @@ class StandingAligner:
         rate = step[kernels.STEP_DTHETA:kernels.STEP_DVEL] / dt - bias
         force = np.linalg.norm(step[kernels.STEP_DVEL:kernels.STEP_MEAN_DVEL]) / dt
         self._scale += (force / self.params.local_gravity - self._scale) * min(dt, 1.0)
-        turns = np.linalg.norm(rate) > self.params.largest_rate and not self.params.zero_velocity_while_turning
+        self._rate += (rate - self._rate) * min(dt / kernels.RATE_TIME, 1.0)
+        turns = np.linalg.norm(self._rate) > self.params.largest_rate and not self.params.zero_velocity_while_turning
         return not turns and abs(self._scale - 1) < _LARGEST_FORCE_ERROR
 
     def _accelerates(self, step):
@@ -389,10 +390,15 @@ class StandingAligner:
         rate = EARTH_RATE + (0.0 if self._biases is not None else 3 * self.params.gyro_bias_spread) \
             + 3 * self.params.gyro_noise_density
         allowed = self.params.largest_velocity / _STILL_TIME + self.params.local_gravity * rate * time
-        return np.linalg.norm(self._force - mean) > allowed
+        apart = np.linalg.norm(self._force - mean)
+        # What the force of a second has made of the velocity, without the Earth's turn.
+        turned = 0.5 * self.params.local_gravity * EARTH_RATE * time
+        sway_var = _STILL_TIME ** 2 * max(apart ** 2 - turned ** 2, 0.0)
+        self._sway_var += (sway_var - self._sway_var) * min(dt / time, 1.0)
+        return apart > allowed
 
     def _start_filter(self):
-        coarse = align_by_gravity(self._sums, self.params)
+        coarse = align_by_gravity(self._sums, self.params, math.sqrt(self._sway_var))
         self._remark(True, f"coarse alignment: heading within {math.degrees(coarse.heading_std):.2f} deg")
         self._filter = self._make_filter(coarse)
         if self._filter.in_steps:
@@ -533,7 +539,7 @@ class StandingAligner:
         if self._filter is None:
             time = float(self._sums[kernels.O_TIME])
             found = level_by_force(self._sums, self.params) if self._no_latitude \
-                else align_by_gravity(self._sums, self.params)
+                else align_by_gravity(self._sums, self.params, math.sqrt(self._sway_var))
             dcm, covariance = dcm_from_quaternion(found.q_nb_wxyz), found.covariance
             q_nb, east = found.q_nb_wxyz, time * dcm[1]
         else:

@@ -85,8 +85,11 @@ def align_two_vectors(gyro_b, accel_b, time, params):
     return CoarseResult(q_nb, q_nb, coarse_covariance(time, params, noise_factor=1.0), time)
 
 
-def align_by_gravity(sums, params):
-    """Return the attitude of the sums of :func:`alignment.standing._kernels.run_coarse` (Davenport's q-method)."""
+def align_by_gravity(sums, params, sway_std=0.0):
+    """Return the attitude of the sums of :func:`alignment.standing._kernels.run_coarse` (Davenport's q-method).
+
+    ``sway_std`` is the spread of the vehicle's velocity, m/s, if more than the parameters say is seen.
+    """
     time = float(sums[kernels.O_TIME])
     profile = sums[kernels.O_PROFILE:kernels.O_SIZE].reshape(3, 3)
     axis = np.array([profile[2, 1] - profile[1, 2], profile[0, 2] - profile[2, 0], profile[1, 0] - profile[0, 1]])
@@ -97,7 +100,7 @@ def align_by_gravity(sums, params):
     start = np.linalg.eigh(matrix)[1][:, -1]
     body = quaternion_from_dcm(sums[kernels.O_BODY:kernels.O_TIME].reshape(3, 3))
     turned = quaternion_multiply(quaternion_exp(-time * earth_rate_n(params.latitude)), start)
-    return CoarseResult(quaternion_multiply(turned, body), start, coarse_covariance(time, params), time)
+    return CoarseResult(quaternion_multiply(turned, body), start, coarse_covariance(time, params, sway_std), time)
 
 
 def start_attitude(sums, dcm_nb, params):
@@ -126,16 +129,17 @@ def bias_sensitivity(params):
     return force, rate
 
 
-def coarse_covariance(time, params, noise_factor=NOISE_FACTOR):
+def coarse_covariance(time, params, sway_std=0.0, noise_factor=NOISE_FACTOR):
     """Return the covariance (3, 3) of the small rotation in navigation axes after a coarse alignment, rad^2.
 
     Biases by their priors, noise over the time, sway of the vehicle by the zero-velocity noise.
     """
     force, rate = bias_sensitivity(params)
+    velocity_std = max(params.zero_velocity_std, sway_std)
     force_var = params.accel_bias_spread ** 2 + params.accel_noise_density ** 2 / time \
-        + (params.zero_velocity_std / time) ** 2
+        + (velocity_std / time) ** 2
     east_rate_var = params.gyro_bias_spread ** 2 + noise_factor * params.gyro_noise_density ** 2 / time \
-        + (12 * params.zero_velocity_std / (params.local_gravity * time ** 2)) ** 2
+        + (12 * velocity_std / (params.local_gravity * time ** 2)) ** 2
     covariance = force_var * force @ force.T + east_rate_var * rate @ rate.T \
         + params.gyro_noise_density ** 2 * time * np.eye(3)
     return limit_heading(covariance)

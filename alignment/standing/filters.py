@@ -152,7 +152,8 @@ class Filter:
             self.P[2:5, 2:5] = covariance
             self.P[5:10, 5:10] = bias_covariance[:5, :5]
         p = params.horizon if name == "ipekf" else 1
-        self.ipa = (np.zeros((p, 2, 5)), np.zeros((5, 2 * p)), np.zeros((2 * p, 2 * p)), np.zeros(2 * p), np.zeros(5))
+        self.ipa = (np.zeros((p, 2, 5)), np.zeros((5, 2 * p)), np.zeros((2 * p, 2 * p)), np.zeros((5, 7)),
+                    np.zeros(7))
 
     def run_steps(self, steps, rows):
         """Use steps of :func:`alignment.standing._kernels.reduce_samples`; return how many, and the event."""

@@ -64,7 +64,7 @@ class StandingParams:
     largest_rate: float = _shared("largest_rate")
     largest_velocity: float = parameter(
         0.1, "m/s", "A vehicle that stands moves no faster than this, people in it included.", 1e-3)
-    coarse_window: float = parameter(60.0, "s", "Length of the coarse alignment.", 5.0, 600.0)
+    coarse_window: float = parameter(30.0, "s", "Length of the coarse alignment.", 5.0, 600.0)
     feedback_period: float = parameter(
         1.0, "s", "Between corrections of the strapdown by the error model; 0 for open loop.", 0.0)
     target_std: float = _shared("target_std")
