@@ -27,9 +27,6 @@ from nav_ros.messages import (
     decode_joints,
 )
 
-UNKNOWN_VARIANCE = 1e6
-"""Variance of what is not estimated, in the unit of its entry."""
-
 
 @dataclass(frozen=True)
 class AlignmentNodeParams(StandingParams, AlignmentParams):

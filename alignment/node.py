@@ -17,7 +17,6 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from alignment.edge import (
-    UNKNOWN_VARIANCE,
     AlignmentNodeParams,
     attitude_values,
     imu_sample,
@@ -27,7 +26,15 @@ from alignment.edge import (
 )
 from alignment.views import open_view
 from nav_ros.diagnostics import Level, diagnostic_array
-from nav_ros.messages import GPS_FIX, IMU, VECTOR, RefusedMessageError, StampedEncoder, decode_fix
+from nav_ros.messages import (
+    GPS_FIX,
+    IMU,
+    UNKNOWN_VARIANCE,
+    VECTOR,
+    RefusedMessageError,
+    StampedEncoder,
+    decode_fix,
+)
 from nav_ros.parameters import on_change
 from nav_ros.sensor_loop import run_sensor_node
 from nav_ros.sensor_node import SensorNode

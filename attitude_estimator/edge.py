@@ -42,12 +42,10 @@ from nav_ros.messages import (
     POSE_POSITION,
     TWIST_COVARIANCE,
     TWIST_LINEAR,
+    UNKNOWN_VARIANCE,
     VECTOR,
 )
 from nav_ros.time_gate import StampCode, TimeGateParams
-
-UNKNOWN_VARIANCE = 1e6
-"""Variance of what is not estimated, in the unit of its entry."""
 
 OUTPUT_TYPES = {"imu/data": IMU, "imu/rpy/filtered": VECTOR, "attitude/state": ODOMETRY,
                 "imu/gyro_bias": VECTOR, "imu/accel_bias": VECTOR}

@@ -27,12 +27,12 @@ from nav_ros.messages import (
     POSE_POSITION,
     TWIST_COVARIANCE,
     TWIST_LINEAR,
+    UNKNOWN_VARIANCE,
     decode_batch,
 )
 
 ALSO = ("truth", "state", "odometry", "gyro_bias", "accel_bias")
 """Keys of :data:`nav_ros.bags.TOPICS` that a run may have beside its attitudes."""
-_UNKNOWN_VARIANCE = 1e6  # stands in messages for what nobody knows
 
 
 @dataclass(frozen=True)
@@ -244,7 +244,7 @@ def _biases(raws):
 def _std(covariance):
     """Square roots of the diagonals, NaN where they stand for unknown."""
     variance = np.diagonal(covariance, axis1=-2, axis2=-1)
-    return np.sqrt(np.where((variance >= 0.0) & (variance < 0.99 * _UNKNOWN_VARIANCE), variance, np.nan))
+    return np.sqrt(np.where((variance >= 0.0) & (variance < 0.99 * UNKNOWN_VARIANCE), variance, np.nan))
 
 
 _READERS = {"output": attitude_run, "truth": _truth, "state": _state, "odometry": _odometry,

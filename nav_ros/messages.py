@@ -64,6 +64,9 @@ VELOCITY_COVARIANCE = slice(6, 42)
 
 NO_FIX, GPS_FIX = -1, 0
 """Status of a NavSatFix: from GPS_FIX on there is a position."""
+UNKNOWN_VARIANCE = 1e6
+"""Variance of what is not estimated, in the unit of its entry."""
+
 COVARIANCE_UNKNOWN, COVARIANCE_KNOWN = 0, 3
 """Type of a NavSatFix's covariance: 0 says nothing, the others that it may be used."""
 

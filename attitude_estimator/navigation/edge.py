@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from attitude_estimator.edge import UNKNOWN_VARIANCE
 from attitude_estimator.navigation import _kernels as kernels
 from attitude_estimator.navigation.estimator import Navigation, NavigationEstimator
 from attitude_estimator.navigation.params import NavigationParams
@@ -55,6 +54,7 @@ from nav_ros.messages import (
     TWIST_ANGULAR,
     TWIST_COVARIANCE,
     TWIST_LINEAR,
+    UNKNOWN_VARIANCE,
     VECTOR,
     VELOCITY,
     VELOCITY_COVARIANCE,

@@ -7,7 +7,6 @@ import pytest
 
 from attitude_estimator.navigation import _kernels as kernels
 from attitude_estimator.navigation.edge import (
-    UNKNOWN_VARIANCE,
     NavigationMessages,
     NavigationNodeParams,
     NavigationOutput,
@@ -39,6 +38,7 @@ from nav_ros.messages import (
     TWIST,
     TWIST_COVARIANCE,
     TWIST_LINEAR,
+    UNKNOWN_VARIANCE,
     VELOCITY,
     VELOCITY_COVARIANCE,
     Fix,
