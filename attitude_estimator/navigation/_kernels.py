@@ -1,7 +1,8 @@
-"""Compiled kernels of the navigation filters: closed forms, both filters, the start, the time buffer.
+"""Compiled kernels of the navigation filters: closed forms, both filters, the start, the time buffer, a recording.
 
 One flat float64 array holds state, parameters and history, as in :mod:`attitude_estimator._kernels`, so that a
-snapshot is one copy; this file is the only place that knows positions in it. Attitude errors are small rotations
+snapshot is one copy; this file is the only place that knows positions in it. One entry, :func:`run`, takes
+samples and measurements one by one and by the million. Attitude errors are small rotations
 about the navigation axes, ``C_true = (I + [theta x]) C``; every error is true less estimated.
 Equations: ``docs/navigation.md``. Frames and units: :mod:`inertial`.
 """
@@ -30,13 +31,13 @@ N_BLIND = 6  # north, east; their velocities; cosine and sine of the heading of 
 BV, BC = 2, 4
 KINDS = ("fix", "velocity", "altitude", "inclinometer", "heading", "level")
 N_KINDS = len(KINDS)
-(K_FIX, K_VELOCITY, K_ALTITUDE, K_INCLINOMETER, K_HEADING, K_LEVEL) = range(len(KINDS))
+(K_FIX, K_VELOCITY, K_ALTITUDE, K_INCLINOMETER, K_HEADING, K_LEVEL, K_ORIGIN, K_RESET) = range(N_KINDS + 2)
 
 (X_PHASE, X_Q, X_V, X_P, X_BG, X_BA, X_REF, X_COV, X_RATE, X_ACC,
  X_BLIND, X_BLIND_COV, X_BLIND_ON, X_DOWN_FIX, X_DOWN_VEL,
  X_INTERVAL, X_GYRO_LP, X_ACCEL_LP, X_GYRO_SPREAD, X_ACCEL_SPREAD,
  X_SINCE, X_NIS, X_USED, X_REFUSED, X_REFUSING,
- X_DRIFT, X_DVEL, X_DVEL_TIME, X_LAST_VELOCITY,
+ X_DRIFT, X_DVEL, X_DVEL_TIME, X_LAST_VELOCITY, X_LOST,
  STATE_SIZE) = _offsets(
     1,  # PHASE: 0 levelling or looking for the heading, 1 navigating
     4, 3, 3, 3, 3, 1, N * N,  # q_nb_wxyz, velocity, position, biases, altimeter's zero, covariance
@@ -45,12 +46,14 @@ N_KINDS = len(KINDS)
     3, 3,  # last down position and down velocity of the aids: value, variance, age s
     1, 3, 3, 1, 1,  # mean interval; low-passed sample; its squared distance from it
     6, 6, 6, 6, 6,  # of each kind: s since used, NIS over its mean, used, refused, s of refusing
-    3, 3, 1, 4)  # cascade: acceleration error NED; velocity gained by force and in what time; last velocity, known
+    3, 3, 1, 4,  # cascade: acceleration error NED; velocity gained by force and in what time; last velocity, known
+    1)  # how often the heading was lost
 PARAMETER_NAMES = (
     "cascade", "steady", "local_gravity", "gyro_noise_density", "gyro_rate_error", "accel_noise_density",
     "accel_force_error", "gyro_bias_walk", "accel_bias_std", "accel_bias_time", "altitude_drift_density",
     "altitude_scale_error", "innovation_gate", "recovery_time", "heading_start_std", "cascade_bias_std",
-    "cascade_bias_time", "axis_frequency", "fix_interval", "antenna_x", "antenna_y", "antenna_z")
+    "cascade_bias_time", "axis_frequency", "fix_interval", "antenna_x", "antenna_y", "antenna_z",
+    "measurement_buffer", "gap_limit")
 
 # One row of output.
 (OUT_VALID, OUT_HEADING, OUT_NAVIGATING, OUT_Q, OUT_V, OUT_P, OUT_BG, OUT_BA, OUT_GYRO, OUT_ACCEL, OUT_COV,
@@ -59,20 +62,33 @@ PARAMETER_NAMES = (
     81,  # covariance of attitude, velocity, position
     3, 3, 1)
 
-# One row of history: a sample, then what the level estimator makes of it: north and east force, yaw, densities
-# squared of the force's and the yaw's error.
-(H_DT, H_GYRO, H_ACCEL, H_ACCEL_VAR, H_NORTH, H_EAST, H_YAW, H_FORCE_DENSITY2, H_YAW_DENSITY2,
- H_SIZE) = _offsets(1, 3, 3, 1, 1, 1, 1, 1, 1)
-# What the level estimator says with each sample.
-(L_VALID, L_Q, L_TILT, L_VD, L_ALTITUDE, L_VD_VAR, L_ALTITUDE_VAR, L_BG, L_BA, L_BG_VAR, L_BA_VAR, L_GYRO,
- L_ACCEL, L_SIZE) = _offsets(1, 4, 3, 1, 1, 1, 1, 3, 3, 3, 3, 3, 3)
-(M_STATE, M_PARAMETERS, M_EARTH, MEMORY_SIZE) = _offsets(STATE_SIZE, len(PARAMETER_NAMES), 4)
+# One sample as it is remembered: its interval, what the level estimator says with it, whether its force is known.
+(L_DT, L_VALID, L_Q, L_TILT, L_VD, L_ALTITUDE, L_VD_VAR, L_ALTITUDE_VAR, L_BG, L_BA, L_BG_VAR, L_BA_VAR, L_GYRO,
+ L_ACCEL, L_KNOWN, L_SIZE) = _offsets(1, 1, 4, 3, 1, 1, 1, 1, 3, 3, 3, 3, 3, 3, 1)
+# One measurement: its kind, value and covariance. Of a reset and an origin the value is latitude, height, gravity.
+(A_KIND, A_VALUE, A_COV, A_SIZE) = _offsets(1, 3, 9)
+
+HISTORY = 1024  # samples that can be taken back
+SNAPSHOTS = 16  # the state after every so many samples is kept
+QUEUE = 1024  # measurements remembered, at least half of them
+AHEAD_LIMIT = 1_000_000_000  # ns that a measurement may be ahead of the samples
+(I_COUNT, I_AT, I_LAST_STAMP, I_QUEUED, I_NEXT, I_FORGOTTEN, I_FAULTS) = range(7)
+FAULTS = ("measurement_late", "measurement_ahead", "measurement_duplicate", "restarted", "heading_lost")
+(F_LATE, F_AHEAD, F_DUPLICATE, F_RESTARTED, F_LOST) = range(len(FAULTS))
+COUNTS, EARLY = -1, -2  # what else becomes of a measurement: it counts; there was no sample yet
+I_STAMPS = I_FAULTS + len(FAULTS)
+I_QUEUE_STAMPS = I_STAMPS + HISTORY
+I_SIZE = I_QUEUE_STAMPS + QUEUE
+
+(M_STATE, M_PARAMETERS, M_EARTH, M_INTS, M_HISTORY, M_SNAPSHOTS, M_QUEUE, MEMORY_SIZE) = _offsets(
+    STATE_SIZE, len(PARAMETER_NAMES), 5, I_SIZE, HISTORY * L_SIZE, HISTORY // SNAPSHOTS * STATE_SIZE, QUEUE * A_SIZE)
 (P_CASCADE, P_STEADY, P_GRAVITY, P_GYRO_NOISE, P_RATE_ERROR, P_ACCEL_NOISE, P_FORCE_ERROR, P_GYRO_WALK,
  P_ACCEL_BIAS_STD, P_ACCEL_BIAS_TIME, P_ALT_DRIFT, P_ALT_SCALE, P_GATE, P_RECOVERY, P_HEADING_STD,
  P_AXIS_BIAS_STD, P_AXIS_BIAS_TIME, P_AXIS_FREQUENCY, P_FIX_INTERVAL, P_ANTENNA) = range(
      M_PARAMETERS, M_PARAMETERS + 20)
+P_BUFFER, P_GAP_LIMIT = P_ANTENNA + 3, P_ANTENNA + 4
 
-# M_EARTH: 1 once there is a place; latitude and the radii (m) of the origin.
+# M_EARTH: 1 once there is a place; latitude, radii of curvature at its height, and height (m) of the origin.
 EARTH_RATE = 7.292115e-5
 SEMI_MAJOR = 6378137.0
 ECCENTRICITY2 = 6.69437999014e-3
@@ -89,7 +105,8 @@ NIS_SHARE = 0.05  # of a new value in the mean NIS
 AIDING_TIMEOUT = 3.0  # s without position and velocity before the level estimator's tilt is taken
 TILT_PERIOD = 1.0  # s between its tilts
 UNKNOWN_VARIANCE = 1e6
-NOTHING, STARTED, LOST, TILT = range(4)  # what change_phase did or asks for
+NEVER = 1e9  # s since a measurement that has not come
+TILT_CORRELATION = 20.0  # s that an error of the level estimator's tilt lasts
 
 # As `compiled`, of what only other kernels call: no entry from Python, which takes half as long to compile.
 _inlined = njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"},
@@ -215,13 +232,15 @@ def integrate_rates(q, before, now, dt):
 # --- the Kalman update ------------------------------------------------------------------------------
 
 
-@_inlined
-def kalman_update(P, H, R, y, dx, gate):
+@compiled
+def kalman_update(P, H, R, y, d, dx, gate):
     """Update P in Joseph form and fill dx, unless the innovation fails the gate.
 
     Parameters
     ----------
-    P : (n, n), H : (d or more, n), R : (d or more, d or more), y : (d,), dx : (n,)
+    P : (n, n), H : (3, n), R : (3, 3), y : (3,), dx : (n,)
+    d : int
+        Components of the measurement, at most three.
     gate : float
         Largest normalised squared innovation.
 
@@ -230,10 +249,10 @@ def kalman_update(P, H, R, y, dx, gate):
     float
         The normalised squared innovation (NIS); above `gate` nothing was changed.
     """
-    n, d = len(P), len(y)
+    n = len(P)
     # W = H P and K are held as rows of n, so that the inner loops run along memory.
-    W, K, L = np.zeros((d, n)), np.empty((d, n)), np.empty((d + 1, d))
-    u = L[d]
+    rows, small = np.zeros((6, n)), np.empty((7, 3))
+    W, K, S, L, u = rows[:3], rows[3:], small[:3], small[3:6], small[6]
     for a in range(d):
         for j in range(n):
             h = H[a, j]
@@ -242,11 +261,12 @@ def kalman_update(P, H, R, y, dx, gate):
                     W[a, i] += h * P[j, i]
     nis = 0.0
     for a in range(d):
-        # Cholesky factor of S = H P H^T + R, its diagonal inverted, and the whitened innovation.
+        # S = H P H^T + R, its Cholesky factor with an inverted diagonal, and the whitened innovation.
         for b in range(a + 1):
             s = R[a, b]
             for j in range(n):
                 s += H[a, j] * W[b, j]
+            S[a, b] = S[b, a] = s
             for k in range(b):
                 s -= L[a, k] * L[b, k]
             if b < a:
@@ -268,33 +288,27 @@ def kalman_update(P, H, R, y, dx, gate):
             for k in range(a):
                 s -= L[a, k] * K[k, i]
             K[a, i] = s * L[a, a]
-        dx[i] = 0.0
+        s = 0.0
         for a in range(d - 1, -1, -1):
-            s = K[a, i]
+            g = K[a, i]
             for k in range(a + 1, d):
-                s -= L[k, a] * K[k, i]
-            K[a, i] = s * L[a, a]
-            dx[i] += K[a, i] * y[a]
-    for i in range(n):
-        for a in range(d):
-            gain = K[a, i]
-            for j in range(n):
-                P[i, j] -= gain * W[a, j]
-    # That was (I - K H) P; now times (I - K H)^T, plus K R K^T.
+                g -= L[k, a] * K[k, i]
+            K[a, i] = g * L[a, a]
+            s += K[a, i] * y[a]
+        dx[i] = s
+    # Joseph's form multiplied out: P - K X - (K X)^T with X = W - S K^T / 2.
     for a in range(d):
         for i in range(n):
             s = 0.0
-            for j in range(n):
-                s += P[i, j] * H[a, j]
             for b in range(d):
-                s -= K[b, i] * R[b, a]
-            W[a, i] = s
+                s += S[a, b] * K[b, i]
+            W[a, i] -= 0.5 * s
     for i in range(n):
         for j in range(i + 1):
-            s = P[i, j] + P[j, i]
+            s = P[i, j]
             for a in range(d):
-                s -= W[a, i] * K[a, j] + W[a, j] * K[a, i]
-            P[i, j] = P[j, i] = 0.5 * s
+                s -= K[a, i] * W[a, j] + W[a, i] * K[a, j]
+            P[i, j] = P[j, i] = s
     return nis
 
 
@@ -313,49 +327,55 @@ def mekf_covariance(q, P, w, dt, gyro_density, walk_density, angle_var):
     """Carry the first six rows and columns of P to the attitude q at the end of the interval.
 
     Phi = [I, -C^T Psi; 0, I] and Q turned alike, with C navigation to body; `angle_var` (rad^2) is noise on top.
+    The closed forms are polynomials of [w x], so that C^T f(w) = f(C^T w) C^T.
     """
     work = np.empty((7, 3, 3))
-    theta, psi, q11, q12, c, a, t = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
-    attitude_model(w, dt, gyro_density, walk_density, theta, psi, q11, q12)
+    c, theta, psi, q11, q12, a, w_n = work[0], work[1], work[2], work[3], work[4], work[5], work[6, 0]
     _dcm(q, c)
     for i in range(3):
+        w_n[i] = c[i, 0] * w[0] + c[i, 1] * w[1] + c[i, 2] * w[2]
+    attitude_model(w_n, dt, gyro_density, walk_density, theta, psi, q11, q12)
+    for i in range(3):
         q11[i, i] += angle_var
+        for j in range(3):
+            a[i, j] = psi[i, 0] * c[0, j] + psi[i, 1] * c[1, j] + psi[i, 2] * c[2, j]
+    # The block right above is carried first; the one left below still has its old values.
     for i in range(3):
         for j in range(3):
-            a[i, j] = -(c[i, 0] * psi[0, j] + c[i, 1] * psi[1, j] + c[i, 2] * psi[2, j])
-            t[i, j] = c[i, 0] * q11[0, j] + c[i, 1] * q11[1, j] + c[i, 2] * q11[2, j]
-    for j in range(6):
-        for i in range(3):
-            P[i, j] += a[i, 0] * P[3, j] + a[i, 1] * P[4, j] + a[i, 2] * P[5, j]
-    for i in range(6):
-        for j in range(3):
-            P[i, j] += a[j, 0] * P[i, 3] + a[j, 1] * P[i, 4] + a[j, 2] * P[i, 5]
+            P[i, 3 + j] -= a[i, 0] * P[3, 3 + j] + a[i, 1] * P[4, 3 + j] + a[i, 2] * P[5, 3 + j]
+    for i in range(3):
+        for j in range(i, 3):
+            P[i, j] += q11[i, j] - (
+                a[i, 0] * P[3, j] + a[i, 1] * P[4, j] + a[i, 2] * P[5, j]
+                + a[j, 0] * P[i, 3] + a[j, 1] * P[i, 4] + a[j, 2] * P[i, 5])
+            P[j, i] = P[i, j]
     for i in range(3):
         P[3 + i, 3 + i] += walk_density * walk_density * dt
         for j in range(3):
-            x = c[i, 0] * q12[0, j] + c[i, 1] * q12[1, j] + c[i, 2] * q12[2, j]
-            P[i, 3 + j] += x
-            P[3 + j, i] += x
-            P[i, j] += t[i, 0] * c[j, 0] + t[i, 1] * c[j, 1] + t[i, 2] * c[j, 2]
+            P[i, 3 + j] += q12[i, 0] * c[0, j] + q12[i, 1] * c[1, j] + q12[i, 2] * c[2, j]
+            P[3 + j, i] = P[i, 3 + j]
 
 
 @compiled
 def mekf_vector_update(q, bias, P, measured_b, reference_n, R, gate):
     """Update by a direction or vector known in the navigation frame; return the NIS.
 
-    ``z = C_true v_n = v_b + [v_b x] C theta``, so ``H = [[v_b x] C, 0]``.
+    ``C z = (I - [theta x]) v_n`` of the true C less its error, so turned to navigation axes ``H = [[v_n x], 0]``.
     """
-    work, H, dx = np.empty((5, 3)), np.zeros((3, 6)), np.empty(6)
-    c, b, y = work[:3], work[3], work[4]
+    work, rows = np.empty((10, 3)), np.zeros((4, 6))
+    c, t, R_n, y, H, dx = work[:3], work[3:6], work[6:9], work[9], rows[:3], rows[3]
     _dcm(q, c)
     for i in range(3):
-        b[i] = c[0, i] * reference_n[0] + c[1, i] * reference_n[1] + c[2, i] * reference_n[2]
-        y[i] = measured_b[i] - b[i]
-    for j in range(3):
-        H[0, j] = b[1] * c[j, 2] - b[2] * c[j, 1]
-        H[1, j] = b[2] * c[j, 0] - b[0] * c[j, 2]
-        H[2, j] = b[0] * c[j, 1] - b[1] * c[j, 0]
-    nis = kalman_update(P, H, R, y, dx, gate)
+        for j in range(3):
+            t[i, j] = c[i, 0] * R[0, j] + c[i, 1] * R[1, j] + c[i, 2] * R[2, j]
+    for i in range(3):
+        y[i] = c[i, 0] * measured_b[0] + c[i, 1] * measured_b[1] + c[i, 2] * measured_b[2] - reference_n[i]
+        for j in range(3):
+            R_n[i, j] = t[i, 0] * c[j, 0] + t[i, 1] * c[j, 1] + t[i, 2] * c[j, 2]
+    H[0, 1], H[0, 2] = -reference_n[2], reference_n[1]
+    H[1, 0], H[1, 2] = reference_n[2], -reference_n[0]
+    H[2, 0], H[2, 1] = -reference_n[1], reference_n[0]
+    nis = kalman_update(P, H, R_n, y, 3, dx, gate)
     if nis <= gate:
         _turn_navigation(q, dx[0], dx[1], dx[2])
         for i in range(3):
@@ -389,7 +409,7 @@ def mekf_heading_update(q, bias, P, heading, variance, gate):
     estimate = _heading_row(c, H)
     y[0] = _wrap(heading - estimate) if estimate == estimate else math.nan
     R[0, 0] = variance
-    nis = kalman_update(P, H, R, y, dx, gate)
+    nis = kalman_update(P, H, R, y, 1, dx, gate)
     if nis <= gate:
         _turn_navigation(q, dx[0], dx[1], dx[2])
         for i in range(3):
@@ -418,7 +438,9 @@ def _place(m, earth):
     s, c = math.sin(latitude), math.cos(latitude)
     w2 = 1.0 - ECCENTRICITY2 * s * s
     transverse = SEMI_MAJOR / math.sqrt(w2)
-    meridian = transverse * (1.0 - ECCENTRICITY2) / w2
+    height = m[M_EARTH + 4] - m[X_P + 2]
+    meridian = transverse * (1.0 - ECCENTRICITY2) / w2 + height
+    transverse += height
     north, east = m[X_V] / meridian, m[X_V + 1] / transverse
     earth[1], earth[3] = EARTH_RATE * c, -EARTH_RATE * s
     earth[4], earth[5], earth[6] = east, -north, -east * s / c
@@ -461,33 +483,35 @@ def _carry_mean(m, w, f, dt, dcm, gained):
 
 @_inlined
 def _carry_covariance(P, D, u, dt, decay):
-    """Replace P by F P F^T: F times each column, then each row times F^T."""
+    """Replace P, flat and symmetric, by F P F^T: F P, turned over, is P F^T, so the same step comes twice."""
     h = 0.5 * dt
-    for by_column in range(2):
+    d00, d01, d02, d10, d11, d12, d20, d21, d22 = (
+        D[0, 0], D[0, 1], D[0, 2], D[1, 0], D[1, 1], D[1, 2], D[2, 0], D[2, 1], D[2, 2])
+    u0, u1, u2 = u[0], u[1], u[2]
+    for _ in range(2):
+        # All columns at once: rows lie along memory.
         for k in range(N):
-            A = P[k] if by_column else P[:, k]
-            t0, t1, t2 = A[0], A[1], A[2]
-            g0 = D[0, 0] * A[BG] + D[0, 1] * A[BG + 1] + D[0, 2] * A[BG + 2]
-            g1 = D[1, 0] * A[BG] + D[1, 1] * A[BG + 1] + D[1, 2] * A[BG + 2]
-            g2 = D[2, 0] * A[BG] + D[2, 1] * A[BG + 1] + D[2, 2] * A[BG + 2]
+            t0, t1, t2 = P[k], P[N + k], P[2 * N + k]
+            b0, b1, b2 = P[BG * N + k], P[(BG + 1) * N + k], P[(BG + 2) * N + k]
+            a0, a1, a2 = P[BA * N + k], P[(BA + 1) * N + k], P[(BA + 2) * N + k]
+            v0, v1, v2 = P[V * N + k], P[(V + 1) * N + k], P[(V + 2) * N + k]
+            g0 = d00 * b0 + d01 * b1 + d02 * b2
+            g1 = d10 * b0 + d11 * b1 + d12 * b2
+            g2 = d20 * b0 + d21 * b1 + d22 * b2
             # theta acts through u = D f: -u x theta, and the gyro bias through theta's mean over dt.
             m0, m1, m2 = t0 - 0.5 * g0, t1 - 0.5 * g1, t2 - 0.5 * g2
-            d0 = -(u[1] * m2 - u[2] * m1) - (
-                D[0, 0] * A[BA] + D[0, 1] * A[BA + 1] + D[0, 2] * A[BA + 2])
-            d1 = -(u[2] * m0 - u[0] * m2) - (
-                D[1, 0] * A[BA] + D[1, 1] * A[BA + 1] + D[1, 2] * A[BA + 2])
-            d2 = -(u[0] * m1 - u[1] * m0) - (
-                D[2, 0] * A[BA] + D[2, 1] * A[BA + 1] + D[2, 2] * A[BA + 2])
-            A[POS] += dt * A[V] + h * d0
-            A[POS + 1] += dt * A[V + 1] + h * d1
-            A[POS + 2] += dt * A[V + 2] + h * d2
-            A[V] += d0
-            A[V + 1] += d1
-            A[V + 2] += d2
-            A[0], A[1], A[2] = t0 - g0, t1 - g1, t2 - g2
-            A[BA] *= decay
-            A[BA + 1] *= decay
-            A[BA + 2] *= decay
+            e0 = u2 * m1 - u1 * m2 - (d00 * a0 + d01 * a1 + d02 * a2)
+            e1 = u0 * m2 - u2 * m0 - (d10 * a0 + d11 * a1 + d12 * a2)
+            e2 = u1 * m0 - u0 * m1 - (d20 * a0 + d21 * a1 + d22 * a2)
+            P[POS * N + k] += dt * v0 + h * e0
+            P[(POS + 1) * N + k] += dt * v1 + h * e1
+            P[(POS + 2) * N + k] += dt * v2 + h * e2
+            P[V * N + k], P[(V + 1) * N + k], P[(V + 2) * N + k] = v0 + e0, v1 + e1, v2 + e2
+            P[k], P[N + k], P[2 * N + k] = t0 - g0, t1 - g1, t2 - g2
+            P[BA * N + k], P[(BA + 1) * N + k], P[(BA + 2) * N + k] = decay * a0, decay * a1, decay * a2
+        for i in range(N):
+            for j in range(i):
+                P[N * i + j], P[N * j + i] = P[N * j + i], P[N * i + j]
 
 
 @_inlined
@@ -496,7 +520,7 @@ def _eskf_predict(m, P, dt, w, f, gyro_var, accel_var):
     D, u = np.empty((3, 3)), np.empty(3)
     _carry_mean(m, w, f, dt, D, u)
     decay = max(1.0 - dt / m[P_ACCEL_BIAS_TIME], 0.0)
-    _carry_covariance(P, D, u, dt, decay)
+    _carry_covariance(m[X_COV:X_RATE], D, u, dt, decay)
     rate2 = w[0] ** 2 + w[1] ** 2 + w[2] ** 2
     acc2 = m[X_ACC] ** 2 + m[X_ACC + 1] ** 2 + m[X_ACC + 2] ** 2
     q_angle = dt * (m[P_GYRO_NOISE] ** 2 + m[P_RATE_ERROR] ** 2 * rate2) + gyro_var
@@ -727,8 +751,8 @@ def _level_by_velocity(m, z, cov, age, H, R, y):
 # --- the start: level, heading unknown --------------------------------------------------------------
 
 
-@compiled
-def start_blind(m):
+@_inlined
+def _start_blind(m):
     """Know nothing of the heading: cosine and sine zero, their covariance that of every direction."""
     for i in range(X_BLIND, X_INTERVAL):
         m[i] = 0.0
@@ -776,16 +800,14 @@ def blind_predict(x, P, dt, north, east, force_density2, yaw_density2):
 
 @_inlined
 def _blind_model(m, kind, z, cov, age, level_yaw, H, R, y):
-    """Fill rows, covariance and innovation of what the blind start takes; return how many rows count."""
-    if kind not in (K_FIX, K_VELOCITY, K_HEADING):
-        return 0
+    """Fill rows, covariance and innovation of a fix, a velocity or a heading for the blind start."""
     for i in range(2):
         for j in range(2):
             R[i, j] = cov[i, j]
         if kind == K_HEADING:
             angle = z[0] - level_yaw
             y[i] = (math.sin(angle) if i else math.cos(angle)) - m[X_BLIND + BC + i]
-            H[i, BC + i], R[i, i] = 1.0, cov[0, 0]
+            H[i, BC + i] = 1.0
         elif kind == K_FIX:
             y[i] = z[i] - m[X_BLIND + i] + age * m[X_BLIND + BV + i]
             H[i, i], H[i, BV + i] = 1.0, -age
@@ -793,7 +815,6 @@ def _blind_model(m, kind, z, cov, age, level_yaw, H, R, y):
         else:
             y[i] = z[i] - m[X_BLIND + BV + i]
             H[i, BV + i] = 1.0
-    return 2
 
 
 @_inlined
@@ -900,19 +921,21 @@ def _start_cascade(m, P):
     m[X_LAST_VELOCITY + 3] = 0.0
 
 
-# --- from Python ------------------------------------------------------------------------------------
+# --- one step --------------------------------------------------------------------------------------
 
 
 @_inlined
-def _track(m, dt, row):
+def _track(m, L):
     """Follow the mean interval and how much the samples vary; return what a lost part of dt may have held."""
+    dt = L[L_DT]
     usual = m[X_INTERVAL] if m[X_INTERVAL] > 0.0 else dt
     lost = max(dt - 1.5 * usual, 0.0) * (dt - usual)
     m[X_INTERVAL] = usual + 0.02 * (min(dt, 2.0 * usual) - usual)
     gain = dt / (LOWPASS_TIME + dt)
     dw2 = df2 = 0.0
     for i in range(3):
-        dw, df = row[H_GYRO + i] - m[X_GYRO_LP + i], row[H_ACCEL + i] - m[X_ACCEL_LP + i]
+        dw = L[L_GYRO + i] + L[L_BG + i] - m[X_GYRO_LP + i]
+        df = L[L_ACCEL + i] + L[L_BA + i] - m[X_ACCEL_LP + i]
         m[X_GYRO_LP + i] += gain * dw
         m[X_ACCEL_LP + i] += gain * df
         dw2 += dw * dw
@@ -922,52 +945,52 @@ def _track(m, dt, row):
     return lost * m[X_GYRO_SPREAD] / 3.0, lost * m[X_ACCEL_SPREAD]
 
 
-@compiled
-def fill_row(m, L, dt, force_known, row):
-    """Fill one row of history: the sample of the dt (s) before it and what the level estimator makes of it."""
-    for i in range(H_SIZE):
-        row[i] = 0.0
-    row[H_DT] = dt
+@_inlined
+def _level_frame(m, L):
+    """Return of the level frame: north and east force, then the densities squared of its error and of the yaw's."""
+    if L[L_VALID] == 0.0:
+        return 0.0, 0.0, UNKNOWN_ACCEL_STD**2, 0.1
+    c = np.empty((3, 3))
+    _dcm(L[L_Q:L_TILT], c)
+    north = east = bias_var = 0.0
     for i in range(3):
-        row[H_GYRO + i] = L[L_GYRO + i] + L[L_BG + i]
-        row[H_ACCEL + i] = L[L_ACCEL + i] + L[L_BA + i]
-    row[H_ACCEL_VAR] = 0.0 if force_known else (dt * UNKNOWN_ACCEL_STD) ** 2
-    row[H_FORCE_DENSITY2], row[H_YAW_DENSITY2] = UNKNOWN_ACCEL_STD**2, 0.1
-    if L[L_VALID] == 1.0:
-        c = np.empty((3, 3))
-        _dcm(L[L_Q:L_TILT], c)
-        bias_var = 0.0
-        for i in range(3):
-            row[H_NORTH] += c[0, i] * L[L_ACCEL + i]
-            row[H_EAST] += c[1, i] * L[L_ACCEL + i]
-            bias_var += c[2, i] ** 2 * L[L_BG_VAR + i]
-        row[H_YAW] = math.atan2(c[1, 0], c[0, 0])
-        tilt = L[L_TILT] + L[L_TILT + 2]
-        row[H_FORCE_DENSITY2] = m[P_ACCEL_NOISE] ** 2 + m[P_GRAVITY] ** 2 * tilt * TILT_TIME
-        row[H_YAW_DENSITY2] = m[P_GYRO_NOISE] ** 2 + 2.0 * YAW_BIAS_TIME * bias_var
+        north += c[0, i] * L[L_ACCEL + i]
+        east += c[1, i] * L[L_ACCEL + i]
+        bias_var += c[2, i] ** 2 * L[L_BG_VAR + i]
+    tilt = L[L_TILT] + L[L_TILT + 2]
+    return (north, east, m[P_ACCEL_NOISE] ** 2 + m[P_GRAVITY] ** 2 * tilt * TILT_TIME,
+            m[P_GYRO_NOISE] ** 2 + 2.0 * YAW_BIAS_TIME * bias_var)
 
 
-@compiled
-def carry(m, row):
-    """Carry whatever runs over one row of history."""
-    dt = row[H_DT]
+@_inlined
+def _level_yaw(L):
+    q0, q1, q2, q3 = L[L_Q], L[L_Q + 1], L[L_Q + 2], L[L_Q + 3]
+    return math.atan2(2.0 * (q1 * q2 + q0 * q3), q0 * q0 + q1 * q1 - q2 * q2 - q3 * q3)
+
+
+@_inlined
+def _carry(m, L):
+    """Carry whatever runs over one remembered sample."""
+    dt = L[L_DT]
     for k in range(N_KINDS):
         m[X_SINCE + k] += dt
         if m[X_REFUSING + k] > 0.0:
             m[X_REFUSING + k] += dt
-    gyro_var, accel_var = _track(m, dt, row)
-    accel_var += row[H_ACCEL_VAR]
+    gyro_var, accel_var = _track(m, L)
+    if L[L_KNOWN] == 0.0:
+        accel_var += (dt * UNKNOWN_ACCEL_STD) ** 2
     if m[X_PHASE] == 0.0:
         m[X_DOWN_FIX + 2] += dt
         m[X_DOWN_VEL + 2] += dt
+        north, east, force_density2, yaw_density2 = _level_frame(m, L)
         blind_predict(m[X_BLIND:X_BLIND_COV], m[X_BLIND_COV:X_BLIND_ON].reshape((N_BLIND, N_BLIND)), dt,
-                      row[H_NORTH], row[H_EAST], row[H_FORCE_DENSITY2] + accel_var / dt,
-                      row[H_YAW_DENSITY2] + gyro_var / dt)
+                      north, east, force_density2 + accel_var / dt, yaw_density2 + gyro_var / dt)
         return
-    w, f = np.empty(3), np.empty(3)
+    sample = np.empty((2, 3))
+    w, f = sample[0], sample[1]
     for i in range(3):
-        w[i] = row[H_GYRO + i] - m[X_BG + i]
-        f[i] = row[H_ACCEL + i] - m[X_BA + i]
+        w[i] = L[L_GYRO + i] + L[L_BG + i] - m[X_BG + i]
+        f[i] = L[L_ACCEL + i] + L[L_BA + i] - m[X_BA + i]
         m[X_RATE + i] = w[i]
     P = m[X_COV:X_RATE].reshape((N, N))
     if m[P_CASCADE] == 1.0:
@@ -976,71 +999,103 @@ def carry(m, row):
         _eskf_predict(m, P, dt, w, f, gyro_var, accel_var)
 
 
-@compiled
-def take(m, kind, z, cov, age, level_yaw):
-    """Take a measurement, valid `age` s ago, into whatever runs; the yaw is that of the level frame now.
+@_inlined
+def _take_starting(m, kind, z, cov, age, L):
+    """Take a measurement, valid `age` s before the sample L, into the start."""
+    if kind == K_ALTITUDE:
+        m[X_SINCE + kind] = 0.0  # the level estimator has it
+    if kind not in (K_FIX, K_VELOCITY, K_HEADING):
+        return
+    rows, R, y = np.zeros((3, N_BLIND)), np.empty((2, 2)), np.empty(2)
+    H, dx = rows[:2], rows[2]
+    P = m[X_BLIND_COV:X_BLIND_ON].reshape((N_BLIND, N_BLIND))
+    gate = _gate(m, kind, 2)
+    if gate == math.inf:
+        _start_blind(m)  # what contradicts the aids for so long was wrong from its first fix
+    _blind_model(m, kind, z, cov, age, _level_yaw(L), H, R, y)
+    nis = kalman_update(P, H, R, y, 2, dx, gate)
+    _judge(m, kind, nis, 2, gate)
+    if nis <= gate:
+        _blind_correct(m, kind, z, cov, age, dx)
+
+
+@_inlined
+def _take(m, aid, age, L):
+    """Take a measurement, valid `age` s before the sample L, into whatever runs.
 
     The cascade's filters are blocks of one covariance, so that one update serves all.
     """
-    H, R, y, dx = np.zeros((3, N)), np.empty((3, 3)), np.zeros(3), np.zeros(N)
-    starting, cascade, steady = m[X_PHASE] == 0.0, m[P_CASCADE] == 1.0, m[P_STEADY] == 1.0
-    if starting:
-        P = m[X_BLIND_COV:X_BLIND_ON].reshape((N_BLIND, N_BLIND))
-        d = _blind_model(m, kind, z, cov, age, level_yaw, H, R, y)
-        if kind == K_ALTITUDE:
-            m[X_SINCE + kind] = 0.0  # the level estimator has it
-    else:
-        P = m[X_COV:X_RATE].reshape((N, N))
-        d = measurement_model(m, kind, z, age, H, y)
-        for i in range(3):
-            for j in range(3):
-                R[i, j] = cov[i, j]
-    steady = cascade and steady and not starting
-    if d == 0 or (steady and kind == K_ALTITUDE):
+    kind, z, cov = int(aid[A_KIND]), aid[A_VALUE:A_COV], aid[A_COV:].reshape((3, 3))
+    if m[X_PHASE] == 0.0:
+        _take_starting(m, kind, z, cov, age, L)
         return
+    cascade, steady = m[P_CASCADE] == 1.0, m[P_CASCADE] == 1.0 and m[P_STEADY] == 1.0
+    if steady and kind == K_ALTITUDE:
+        return
+    rows, small = np.empty((4, N)), np.zeros((4, 3))
+    H, dx, R, y = rows[:3], rows[3], small[:3], small[3]
+    P = m[X_COV:X_RATE].reshape((N, N))
+    d = measurement_model(m, kind, z, age, H, y)
+    if d == 0:
+        return
+    for i in range(N):
+        dx[i] = 0.0
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = cov[i, j]
     gate = _gate(m, kind, d)
-    if gate == math.inf and not starting:
+    if gate == math.inf:
         _open(m, P, kind, y, d)
     if steady and kind == K_FIX:
         nis = _steady_update(m, P, y, R, gate)
     elif steady and kind == K_VELOCITY:
         nis = 0.0
     else:
-        nis = kalman_update(P, H, R, y[:d], dx, gate)
+        nis = kalman_update(P, H, R, y, d, dx, gate)
     _judge(m, kind, nis, d, gate)
     if not nis <= gate:
-        return
-    if starting:
-        _blind_correct(m, kind, z, cov, age, dx)
         return
     _correct(m, dx)
     if cascade and kind == K_VELOCITY and _level_by_velocity(m, z, cov, age, H, R, y):
         level_gate = m[P_GATE] + 6.0
-        if kalman_update(P, H, R, y, dx, level_gate) <= level_gate:
+        if kalman_update(P, H, R, y, 3, dx, level_gate) <= level_gate:
             _correct(m, dx)
 
 
-@compiled
-def change_phase(m, L):
-    """Begin to navigate or go back to the start where it is time; return what was done, of NOTHING to TILT."""
+@_inlined
+def _change_phase(m, L, tilt):
+    """Begin to navigate, or go back to the start, where it is time.
+
+    Returns whether the level estimator's tilt is to be taken, which is then filled in: now and then, where nothing
+    else shows it.
+    """
     if m[X_PHASE] == 0.0:
         if L[L_VALID] == 1.0 and _may_navigate(m):
             _start_navigating(m, L)
-            return STARTED
-        return NOTHING
+        return False
     if m[X_COV + (N + 1) * (TH + 2)] > HEADING_LOST_STD**2:
         m[X_PHASE] = 0.0
-        start_blind(m)
-        return LOST
+        m[X_LOST] += 1.0
+        _start_blind(m)
+        return False
     aided = min(m[X_SINCE + K_FIX], m[X_SINCE + K_VELOCITY], m[X_SINCE + K_INCLINOMETER])
-    if L[L_VALID] == 1.0 and aided > AIDING_TIMEOUT and m[X_SINCE + K_LEVEL] > TILT_PERIOD:
-        return TILT
-    return NOTHING
+    if L[L_VALID] == 0.0 or aided <= AIDING_TIMEOUT or m[X_SINCE + K_LEVEL] <= TILT_PERIOD:
+        return False
+    m[X_SINCE + K_LEVEL] = 0.0
+    c = np.empty((3, 3))
+    _dcm(L[L_Q:L_TILT], c)
+    tilt[A_KIND] = K_LEVEL
+    variance = 0.5 * (L[L_TILT] + L[L_TILT + 2]) * TILT_CORRELATION / TILT_PERIOD
+    for i in range(3):
+        tilt[A_VALUE + i] = c[2, i]
+        for j in range(3):
+            tilt[A_COV + 3 * i + j] = variance if i == j else 0.0
+    return True
 
 
-@compiled
-def write_output(m, L, row, out):
-    """Fill one row of output from the state, the level estimator and the last row of history."""
+@_inlined
+def _write_output(m, L, out):
+    """Fill one row of output from the state and the last sample."""
     for i in range(OUT_SIZE):
         out[i] = 0.0
     C = out[OUT_COV:OUT_BG_VAR].reshape((9, 9))
@@ -1052,8 +1107,8 @@ def write_output(m, L, row, out):
         out[OUT_Q + i] = m[X_Q + i]
     out[OUT_REF] = m[X_REF]
     for i in range(3):
-        out[OUT_GYRO + i] = row[H_GYRO + i] - m[X_BG + i]
-        out[OUT_ACCEL + i] = row[H_ACCEL + i] - m[X_BA + i]
+        out[OUT_GYRO + i] = L[L_GYRO + i] + L[L_BG + i] - m[X_BG + i]
+        out[OUT_ACCEL + i] = L[L_ACCEL + i] + L[L_BA + i] - m[X_BA + i]
     P = m[X_COV:X_RATE].reshape((N, N))
     for i in range(9):
         for j in range(9):
@@ -1100,3 +1155,235 @@ def _write_start(m, L, out, C):
         out[OUT_BG + i], out[OUT_BA + i] = L[L_BG + i], L[L_BA + i]
         out[OUT_BG_VAR + i], out[OUT_BA_VAR + i] = L[L_BG_VAR + i], L[L_BA_VAR + i]
         out[OUT_GYRO + i], out[OUT_ACCEL + i] = L[L_GYRO + i], L[L_ACCEL + i]
+
+
+# --- the time buffer --------------------------------------------------------------------------------
+
+
+@_inlined
+def _integers(m):
+    return m[M_INTS:M_HISTORY].view(np.int64)
+
+
+@_inlined
+def _remembered(m, at):
+    """Return what is remembered of the sample with this number."""
+    row = M_HISTORY + at % HISTORY * L_SIZE
+    return m[row:row + L_SIZE]
+
+
+@_inlined
+def _keep(m, ints):
+    """Keep the state now and then."""
+    at = ints[I_AT]
+    if at % SNAPSHOTS == 0:
+        kept = M_SNAPSHOTS + at % HISTORY // SNAPSHOTS * STATE_SIZE
+        for k in range(STATE_SIZE):
+            m[kept + k] = m[k]
+
+
+@njit(inline="always")
+def _settle(m, ints):
+    """Step over what is remembered and not in the state yet: at each sample the measurements up to its stamp.
+
+    The phase changes with the sample after, when all that was valid before has come.
+    """
+    tilt = np.empty(A_SIZE)
+    while True:
+        at = ints[I_AT]
+        stamp, L = ints[I_STAMPS + at % HISTORY], _remembered(m, at)
+        if ints[I_NEXT] < ints[I_QUEUED] and ints[I_QUEUE_STAMPS + ints[I_NEXT]] <= stamp:
+            age = (stamp - ints[I_QUEUE_STAMPS + ints[I_NEXT]]) * 1e-9
+            aid = m[M_QUEUE + ints[I_NEXT] * A_SIZE:M_QUEUE + (ints[I_NEXT] + 1) * A_SIZE]
+            ints[I_NEXT] += 1
+        else:
+            _keep(m, ints)
+            if at == ints[I_COUNT] - 1:
+                break
+            if not _change_phase(m, L, tilt):
+                ints[I_AT] = at + 1
+                _carry(m, _remembered(m, at + 1))
+                continue
+            age, aid = 0.0, tilt
+        _take(m, aid, age, L)
+
+
+@_inlined
+def _remember(m, ints, stamp, sample):
+    """Remember a sample whose stamp is later than the last one; a long gap before it makes it the first."""
+    at = ints[I_COUNT]
+    dt = (stamp - ints[I_LAST_STAMP]) * 1e-9
+    if at > 0 and dt > m[P_GAP_LIMIT]:
+        ints[I_FAULTS + F_RESTARTED] += 1
+        _restart(m, ints)
+        at = 0
+    L = _remembered(m, at)
+    for k in range(L_SIZE):
+        L[k] = sample[k]
+    L[L_DT] = dt
+    ints[I_COUNT] = at + 1
+    ints[I_STAMPS + at % HISTORY] = ints[I_LAST_STAMP] = stamp
+    if at == 0:
+        for i in range(3):
+            m[X_GYRO_LP + i], m[X_ACCEL_LP + i] = L[L_GYRO + i] + L[L_BG + i], L[L_ACCEL + i] + L[L_BA + i]
+
+
+@_inlined
+def _place_of(m, ints, stamp, kind):
+    """Return where a measurement belongs in the queue, or -1 where one of its kind and stamp is there.
+
+    Those of one stamp are ordered by their kinds, so that it does not matter which came first.
+    """
+    place = ints[I_QUEUED]
+    while place > 0:
+        before, other = ints[I_QUEUE_STAMPS + place - 1], m[M_QUEUE + (place - 1) * A_SIZE]
+        if before == stamp and other == kind:
+            return -1
+        if before < stamp or (before == stamp and other < kind):
+            break
+        place -= 1
+    return place
+
+
+@_inlined
+def _insert(m, ints, stamp, aid):
+    """Take a measurement where it belongs in time; return COUNTS, EARLY or the fault.
+
+    One that is ahead of the samples waits for them; a late one takes the filter back to before its stamp.
+    """
+    if ints[I_COUNT] == 0:
+        return EARLY
+    if stamp > ints[I_LAST_STAMP] + AHEAD_LIMIT:
+        return F_AHEAD
+    place = _place_of(m, ints, stamp, aid[A_KIND])
+    if place < 0:
+        return F_DUPLICATE
+    last, oldest = ints[I_COUNT] - 1, max(ints[I_COUNT] - HISTORY, 0)
+    before = last  # the sample before the measurement
+    while before >= oldest and ints[I_STAMPS + before % HISTORY] >= stamp:
+        before -= 1
+    # Between the last two samples, and the last of all: taken as it comes, as going back would come to.
+    late = before < last and not (before == last - 1 and place == ints[I_NEXT] and place == ints[I_QUEUED])
+    origin = before - before % SNAPSHOTS
+    if late and (before < oldest or origin < oldest or ints[I_STAMPS + origin % HISTORY] < ints[I_FORGOTTEN]
+                 or ints[I_LAST_STAMP] - stamp > np.int64(m[P_BUFFER] * 1e9)):
+        return F_LATE
+    _queue(m, ints, place, stamp, aid)
+    if late:
+        _go_back(m, ints, origin)
+    return COUNTS
+
+
+@_inlined
+def _queue(m, ints, place, stamp, aid):
+    """Put a measurement into the queue; a full one loses its older half."""
+    if ints[I_QUEUED] == QUEUE:
+        half = QUEUE // 2
+        ints[I_FORGOTTEN] = ints[I_QUEUE_STAMPS + half - 1]
+        for k in range(half, QUEUE):
+            _move(m, ints, k, k - half)
+        ints[I_QUEUED] -= half
+        ints[I_NEXT] = max(ints[I_NEXT] - half, 0)
+        place = max(place - half, 0)
+    for k in range(ints[I_QUEUED], place, -1):
+        _move(m, ints, k - 1, k)
+    ints[I_QUEUE_STAMPS + place] = stamp
+    for k in range(A_SIZE):
+        m[M_QUEUE + place * A_SIZE + k] = aid[k]
+    ints[I_QUEUED] += 1
+
+
+@_inlined
+def _move(m, ints, source, target):
+    ints[I_QUEUE_STAMPS + target] = ints[I_QUEUE_STAMPS + source]
+    for k in range(A_SIZE):
+        m[M_QUEUE + target * A_SIZE + k] = m[M_QUEUE + source * A_SIZE + k]
+
+
+@_inlined
+def _go_back(m, ints, origin):
+    """Go back to the sample `origin`, after which the state was kept."""
+    kept = M_SNAPSHOTS + origin % HISTORY // SNAPSHOTS * STATE_SIZE
+    for k in range(STATE_SIZE):
+        m[k] = m[kept + k]
+    stamp = ints[I_STAMPS + origin % HISTORY]
+    ints[I_NEXT] = ints[I_QUEUED]
+    while ints[I_NEXT] > 0 and ints[I_QUEUE_STAMPS + ints[I_NEXT] - 1] > stamp:
+        ints[I_NEXT] -= 1
+    ints[I_AT] = origin
+
+
+@_inlined
+def _restart(m, ints):
+    """Forget state and history; faults and the origin stay."""
+    ints[I_FAULTS + F_LOST] += int(m[X_LOST])
+    for k in range(STATE_SIZE):
+        m[k] = 0.0
+    m[X_Q] = 1.0
+    for k in range(N_KINDS):
+        m[X_SINCE + k] = NEVER
+    _start_blind(m)
+    for k in range(I_FAULTS):
+        ints[k] = 0
+
+
+@_inlined
+def _set_origin(m, latitude, height, gravity):
+    """Let the Earth turn beneath from now on."""
+    w2 = 1.0 - ECCENTRICITY2 * math.sin(latitude) ** 2
+    transverse = SEMI_MAJOR / math.sqrt(w2)
+    m[M_EARTH], m[M_EARTH + 1], m[M_EARTH + 4] = 1.0, latitude, height
+    m[M_EARTH + 2], m[M_EARTH + 3] = transverse * (1.0 - ECCENTRICITY2) / w2 + height, transverse + height
+    m[P_GRAVITY] = gravity
+
+
+@_inlined
+def _give(m, ints, stamp, aid):
+    """Put a measurement where it belongs, or do what its kind says; return what became of it."""
+    if aid[A_KIND] == K_RESET:
+        _restart(m, ints)
+        m[M_EARTH], m[P_GRAVITY] = 0.0, aid[A_VALUE + 2]
+        return COUNTS
+    if aid[A_KIND] == K_ORIGIN:
+        _set_origin(m, aid[A_VALUE], aid[A_VALUE + 1], aid[A_VALUE + 2])
+        return COUNTS
+    done = _insert(m, ints, stamp, aid)
+    if done >= 0 and aid[A_KIND] != K_ALTITUDE:  # the level estimator counts those
+        ints[I_FAULTS + done] += 1
+    return done
+
+
+# --- from Python ------------------------------------------------------------------------------------
+
+
+@compiled
+def run(m, stamps, samples, aid_stamps, aids, arrival, out, done):
+    """Feed samples and measurements in recorded order.
+
+    Parameters
+    ----------
+    m : (MEMORY_SIZE,)
+    stamps : (N,) int64
+        Each later than the one before, ns.
+    samples : (N, L_SIZE)
+    aid_stamps : (M,) int64, aids : (M, A_SIZE)
+    arrival : (M,) int64
+        How many of the samples had come before each.
+    out : (N, OUT_SIZE)
+        Filled: the estimate after each sample.
+    done : (M,) int64
+        Filled: what became of each measurement, COUNTS, EARLY or the fault.
+    """
+    ints, j, k = _integers(m), 0, 0
+    while j < len(arrival) or k < len(stamps):
+        is_sample = j == len(arrival) or (k < len(stamps) and arrival[j] > k)
+        if is_sample:
+            _remember(m, ints, stamps[k], samples[k])
+        else:
+            done[j] = _give(m, ints, aid_stamps[j], aids[j])
+            j += 1
+        if ints[I_COUNT] > 0:
+            _settle(m, ints)
+        if is_sample:
+            _write_output(m, _remembered(m, ints[I_AT]), out[k])
+            k += 1

@@ -186,21 +186,25 @@ def test_an_age_moves_the_measurement_along_the_motion(name):
     np.testing.assert_allclose(aged - y, moved, atol=1e-12)
 
 
-def test_update_in_joseph_form_is_the_textbook_one():
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_the_update_is_the_textbook_one(d):
     rng = np.random.default_rng(5)
-    memory = _memory()
-    root = rng.standard_normal((kernels.N, kernels.N))
-    P = memory[kernels.X_COV:kernels.X_RATE].reshape(kernels.N, kernels.N)
-    P[:] = root @ root.T
-    before, R, value = P.copy(), np.diag([0.5, 1.0, 2.0]), memory[kernels.X_P:kernels.X_BG] + [0.1, -0.2, 0.3]
-    H = np.zeros((3, kernels.N))
-    H[:, kernels.POS:kernels.POS + 3] = np.eye(3)
-    position = memory[kernels.X_P:kernels.X_BG].copy()
-    kernels.take(memory, kernels.K_FIX, value, R, 0.0, 0.0)
-    K = np.linalg.solve(H @ before @ H.T + R, H @ before).T
-    np.testing.assert_allclose(P, before - K @ H @ before, atol=TWIN_RELATIVE * np.abs(before).max())
-    np.testing.assert_allclose(memory[kernels.X_P:kernels.X_BG] - position, (K @ (value - position))[
-        kernels.POS:kernels.POS + 3], atol=TWIN_RELATIVE)
+    n = 8
+    root, noise = rng.standard_normal((n, n)), rng.standard_normal((3, 3))
+    P, R, H, y = root @ root.T, noise @ noise.T + np.eye(3), rng.standard_normal((3, n)), rng.standard_normal(3)
+    H[:, ::3] = 0.0
+    used, dx = P.copy(), np.empty(n)
+    h, S = H[:d], H[:d] @ P @ H[:d].T + R[:d, :d]
+    K = np.linalg.solve(S, h @ P).T
+    expected_nis = y[:d] @ np.linalg.solve(S, y[:d])
+    nis = kernels.kalman_update(used, H, R, y, d, dx, np.inf)
+    A = np.eye(n) - K @ h
+    np.testing.assert_allclose(used, A @ P @ A.T + K @ R[:d, :d] @ K.T, atol=TWIN_RELATIVE * np.abs(P).max())
+    np.testing.assert_allclose(dx, K @ y[:d], atol=TWIN_RELATIVE)
+    assert nis == pytest.approx(expected_nis) and np.array_equal(used, used.T)
+    kept = P.copy()
+    assert kernels.kalman_update(kept, H, R, y, d, dx, 0.9 * nis) == pytest.approx(nis)
+    assert np.array_equal(kept, P)
 
 
 # --- paper 001's quaternion and gain ----------------------------------------------------------------

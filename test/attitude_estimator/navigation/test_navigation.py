@@ -1,13 +1,16 @@
 """The navigator as a program sees it: flights with aids that come late, stop, lie or are not there."""
 
+import dataclasses
 from functools import cache
 
 import numpy as np
 import pytest
 
 from attitude_estimator.estimator import AttitudeEstimator
-from attitude_estimator.navigation.estimator import Navigation, NavigationEstimator
+from attitude_estimator.navigation.estimator import NavigationEstimator
 from attitude_estimator.navigation.params import NavigationParams
+from inertial.flight_scenarios import simulate_flight
+from inertial.recording import VelocitySeries
 from inertial.rotation import (
     dcm_from_quaternion,
     quaternion_conjugate,
@@ -50,7 +53,7 @@ def _fly(params, recording, aids, delay=0, altitude=False):
     R_position, R_velocity = POSITION_STD**2 * np.eye(3), VELOCITY_STD**2 * np.eye(3)
     arriving = {k + delay * (k > SETTLED * IMU_RATE): (k, position_n, velocity_n) for k, position_n, velocity_n in aids}
     due = 0
-    estimates = []
+    estimator.hold()
     for k in range(len(imu)):
         estimator.add_imu(int(imu.stamp_ns[k]), imu.gyro_b[k], imu.accel_b[k])
         while altitude and due < len(recording.altitude) and recording.altitude.arrival[due] <= k + 1:
@@ -62,8 +65,9 @@ def _fly(params, recording, aids, delay=0, altitude=False):
                 estimator.add_position(int(imu.stamp_ns[at]), position_n, R_position)
             if velocity_n is not None:
                 estimator.add_velocity(int(imu.stamp_ns[at]), velocity_n, R_velocity)
-        estimates.append(estimator.estimate)
-    return Navigation(imu.stamp_ns, np.array([e.rows for e in estimates])), estimator
+    navigation, fresh = estimator.release()
+    assert fresh.all()
+    return navigation, estimator
 
 
 @cache
@@ -147,6 +151,101 @@ def test_a_late_measurement_counts_as_one_in_time(name):
     assert estimator.faults["measurement_late"] == 0
     settled = same & (_seconds(late) > SETTLED)
     np.testing.assert_allclose(late.rows[settled], in_time.rows[settled], rtol=ROUNDING, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_a_recording_at_once_is_its_samples_one_by_one(name):
+    recording, params = simulate_flight("flight_with_gps", duration=30.0), NavigationParams(estimator=name)
+    at_once, held = NavigationEstimator(params), NavigationEstimator(params)
+    navigation, fresh = at_once.run(recording)
+    one_by_one, rows = NavigationEstimator(params), []
+    held.hold()
+    for estimator in (one_by_one, held):
+        for arrived in _in_order(recording):
+            if arrived(estimator) and estimator is one_by_one:
+                rows.append(estimator.estimate.rows)
+    released, _ = held.release()
+    assert fresh.all() and navigation.navigating[-1]
+    assert np.array_equal(navigation.rows, rows) and np.array_equal(released.rows, rows)
+    for estimator in (at_once, held):
+        assert estimator.health == one_by_one.health and estimator.origin == one_by_one.origin
+        assert estimator.faults == one_by_one.faults and estimator.level_faults == one_by_one.level_faults
+        assert np.array_equal(estimator.estimate.rows, one_by_one.estimate.rows)
+
+
+def _in_order(recording):
+    """Yield what gives an estimator each sample, altitude, fix and velocity as it arrives; True for a new estimate."""
+    imu, altitude, fix, velocity = recording.imu, recording.altitude, recording.fix, recording.velocity
+    due = [(k, lambda e, i=i: e.add_altitude(int(altitude.stamp_ns[i]), altitude.altitude[i]) and False)
+           for i, k in enumerate(altitude.arrival)]
+    due += [(k, lambda e, i=i: e.add_fix(int(fix.stamp_ns[i]), fix.latitude[i], fix.longitude[i], fix.height[i],
+                                         fix.covariance_n) and False)
+            for i, k in enumerate(fix.arrival) if np.isfinite(fix.latitude[i])]
+    due += [(k, lambda e, i=i: e.add_velocity(int(velocity.stamp_ns[i]), velocity.velocity_n[i],
+                                              velocity.covariance_n) and False)
+            for i, k in enumerate(velocity.arrival)]
+    due += [(k + 0.5, lambda e, k=k: e.add_imu(int(imu.stamp_ns[k]), imu.gyro_b[k], imu.accel_b[k]))
+            for k in range(len(imu))]
+    for _, give in sorted(due, key=lambda event: event[0]):
+        yield give
+
+
+def test_a_reset_among_what_is_held_starts_anew():
+    recording, estimator = _recording(), NavigationEstimator()
+    imu = recording.imu
+    for again in (False, True):
+        estimator.hold()
+        for k in range(2000):
+            if again and k == 1000:
+                estimator.reset()
+            estimator.add_imu(int(imu.stamp_ns[k + 2000 * again]), imu.gyro_b[k], imu.accel_b[k])
+            estimator.add_velocity(int(imu.stamp_ns[k + 2000 * again]), recording.velocity_n[k])
+        navigation, fresh = estimator.release()
+    assert navigation.navigating[fresh.sum() - 1001] and not navigation.navigating[fresh.sum() - 1000]
+
+
+def test_what_is_late_counts_also_across_the_beginning_of_navigation():
+    recording = simulate_flight("flight_with_gps", duration=30.0)
+    estimator = NavigationEstimator()
+    navigation, _ = estimator.run(recording)
+    heard = np.isfinite(recording.fix.latitude).sum()
+    assert navigation.navigating[-1] and not navigation.navigating[0]
+    assert estimator.health["fix"].used == heard - 1  # the first gives the origin
+    # What was valid at the very first sample came before it.
+    assert estimator.faults["measurement_late"] <= 2
+
+
+def test_aids_of_one_stamp_count_alike_in_either_order():
+    recording, ends = _recording(duration=30.0), []
+    imu = recording.imu
+    for order in (1, -1):
+        estimator = NavigationEstimator()
+        for k in range(len(imu)):
+            estimator.add_imu(int(imu.stamp_ns[k]), imu.gyro_b[k], imu.accel_b[k])
+            if k % 100 == 50:
+                for add, value in ((estimator.add_position, recording.position_n[k]),
+                                   (estimator.add_velocity, recording.velocity_n[k]))[::order]:
+                    assert add(int(imu.stamp_ns[k - 10]), value)
+        ends.append(estimator.estimate.rows)
+    assert np.array_equal(*ends)
+
+
+def test_a_first_fix_far_off_is_neither_the_origin_nor_the_start():
+    recording = simulate_flight("flight_with_gps", duration=30.0)
+    latitude = recording.fix.latitude.copy()
+    latitude[0] = 0.0
+    fix = dataclasses.replace(recording.fix, latitude=latitude)
+    estimator = NavigationEstimator()
+    estimator.run(dataclasses.replace(recording, fix=fix))
+    assert estimator.origin[0] == latitude[1] and estimator.health["fix"].refused == 0
+
+
+def test_a_start_that_the_fixes_contradict_is_given_up():
+    recording = _recording()
+    aids = tuple((k, position_n + 200.0 * (k < 400), velocity_n) for k, position_n, velocity_n in _aids(rate=5.0))
+    navigation, _ = _fly(NavigationParams(), recording, aids)
+    late = _seconds(navigation) > SETTLED
+    assert _rms(_errors(recording, navigation)[late, 6:]) < LIMITS["eskf15"][2]
 
 
 def test_a_measurement_later_than_the_buffer_is_counted_and_refused():
@@ -245,19 +344,12 @@ def test_without_aids_the_tilt_is_the_attitude_estimators(name):
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_after_aids_are_gone_for_good_the_tilt_stays(name):
     recording = simulate("turn", duration=180.0, imu_rate=50.0)
-    imu = recording.imu
-    estimator = NavigationEstimator(NavigationParams(estimator=name))
-    rng, rows = np.random.default_rng(2), []
-    due = 0
-    for k in range(len(imu)):
-        estimator.add_imu(int(imu.stamp_ns[k]), imu.gyro_b[k], imu.accel_b[k])
-        while due < len(recording.altitude) and recording.altitude.arrival[due] <= k + 1:
-            estimator.add_altitude(int(recording.altitude.stamp_ns[due]), recording.altitude.altitude[due])
-            due += 1
-        if k % 50 == 25 and k < 30 * 50:
-            estimator.add_velocity(int(imu.stamp_ns[k]), recording.velocity_n[k] + 0.1 * rng.standard_normal(3))
-        rows.append(estimator.estimate.rows)
-    navigation = Navigation(imu.stamp_ns, np.array(rows))
+    imu, rng = recording.imu, np.random.default_rng(2)
+    aided = np.arange(25, 30 * 50, 50)
+    velocity_n = recording.velocity_n[aided] + 0.1 * rng.standard_normal((len(aided), 3))
+    velocity = VelocitySeries(imu.stamp_ns[aided], velocity_n, 0.01 * np.eye(3), aided + 1)
+    navigation, _ = NavigationEstimator(NavigationParams(estimator=name)).run(
+        dataclasses.replace(recording, velocity=velocity))
     estimates, _ = AttitudeEstimator().run(imu, recording.altitude)
     late = _seconds(navigation) > 60.0
     assert navigation.valid[late].all()
@@ -307,8 +399,8 @@ def test_fixes_are_metres_from_the_first():
     estimator = NavigationEstimator()
     for k in range(1, 202):
         estimator.add_imu(k * 10_000_000, np.zeros(3), np.array([0.0, 0.0, -9.8]))
-        if k == 1:
-            estimator.add_fix(10_000_000, np.radians(50.0), np.pi - 1e-6, 100.0)
+        if k in (1, 51):
+            estimator.add_fix(k * 10_000_000, np.radians(50.0), np.pi - 1e-6, 100.0)
     assert estimator.origin == (np.radians(50.0), np.pi - 1e-6, 100.0)
     estimator.add_fix(2_010_000_000, np.radians(50.0) + 1e-6, -np.pi + 1e-6, 100.0, np.eye(3) * 1e-8)
     estimator.add_imu(2_020_000_000, np.zeros(3), np.array([0.0, 0.0, -9.8]))
