@@ -12,7 +12,7 @@ from collections import deque
 
 import numpy as np
 
-from alignment.dwells import reduce_dwell
+from alignment.dwells import reduce_dwell, rejected_dwell
 from alignment.joint_check import JointCheck
 
 FULL_TURN = 2 * math.pi
@@ -60,7 +60,7 @@ class DwellCollector:
         """Forget every sample; dwells that follow come later than those before."""
         self._joints, self._waiting = deque(), deque()
         self._anchor = self._stop_start = self._last = math.nan
-        self._travel = 0.0
+        self._travel, self._dwelt = 0.0, True
         self._rows, self._moving, self._blocks = [], [], []
         self.angle = math.nan
 
@@ -167,9 +167,14 @@ class DwellCollector:
         if moved:
             done += self._end_dwell()
             if not gap:
-                self._move(time, angle, sample)
+                self._follow(angle - self._anchor)
+                self._keep(time, angle, sample)
+                self._dwelt = False
             self._anchor, self._stop_start = angle, time
-        elif self.still:
+        elif not self.still:
+            if self._travel:
+                self._keep(time, angle, sample)
+        else:
             if self._travel and not self.turning:
                 self._end_move()
             self._collect(time, angle, sample, done)
@@ -192,16 +197,17 @@ class DwellCollector:
         """Return the dwell of the present samples, which begins no earlier than the one before ended."""
         dwell = self._reduced(self._rows)
         start = dwell.start if math.isnan(self._dwelt_until) else max(dwell.start, self._dwelt_until)
-        self._dwelt_at, self._dwelt_until = dwell.angle, dwell.end
+        self._dwelt_at, self._dwelt_until, self._dwelt = dwell.angle, dwell.end, True
         return dataclasses.replace(dwell, start=start)
 
-    def _move(self, time, angle, sample):
+    def _follow(self, step):
         """Follow how far the table has gone since it last stood or turned back."""
-        step = angle - self._anchor
         if not self.turning:
             if self._travel * step < 0:  # rocking to and fro is no turning
                 self._end_move()
             self._travel += step
+
+    def _keep(self, time, angle, sample):
         self._moving.append((time, angle, *sample))
         if len(self._moving) >= _BLOCK_SAMPLES or time - self._moving[0][0] >= _BLOCK_TIME:
             self._end_block()
@@ -215,15 +221,19 @@ class DwellCollector:
 
     def _end_move(self):
         """Forget a mere move but for what it tells of the joint; what was steady turning stays to be taken."""
-        steady = self.turning
         self._end_block()
-        if not steady:
+        self.joint_check.end_move()
+        if not self.turning:
             self._travel, self._blocks = 0.0, []
 
     def _end_dwell(self):
-        done = []
-        if self._rows and self.elapsed >= _SHORTEST_SHARE * self.params.dwell_time:
+        done, shortest = [], _SHORTEST_SHARE * self.params.dwell_time
+        if self._rows and self.elapsed >= shortest:
             done.append(self._dwell())
+        elif self._rows and not self._dwelt and not self.turning:
+            done.append(rejected_dwell(*columns_of(np.array(self._rows))[:2],
+                                       f"stood only {self.elapsed:.1f} s after settling; half of dwell_time, "
+                                       f"{shortest:g} s, is the least"))
         self._rows = []
         return done
 

@@ -134,7 +134,7 @@ def _fitted_angles(fit, best_angle):
     return angles if math.isnan(best_angle) else angles | {"any": best_angle}
 
 
-def compare_headings(gyro, level, params, hint=None):
+def compare_headings(gyro, level, params, names=tuple(azimuth.METHODS), hint=None):
     """Return the heading by every closed form whose positions there are: name to result.
 
     Parameters
@@ -142,13 +142,15 @@ def compare_headings(gyro, level, params, hint=None):
     gyro : AxisReadings
     level : alignment.results.LevelResult
     params : alignment.params.AlignmentParams
+    names : iterable of str
+        Methods wanted.
     hint : float, optional
         Heading by a compass or the joint estimator, rad, that chooses among branches.
     """
     turn_std = math.hypot(params.skew_std, params.table_zero_std)
     results = {}
     for name, method in azimuth.METHODS.items():
-        if gyro.has(method.positions):
+        if name in names and gyro.has(method.positions):
             rates, covariance = gyro.at(method.positions, params.scale_std, turn_std)
             results[name] = azimuth.find_azimuth(
                 name, rates, level.roll, level.pitch, params.latitude, angle=gyro.angle.get("any", 0.0),

@@ -66,14 +66,14 @@ def reduce_dwell(time, angle, gyro_b, accel_b, params):
     time, angle = np.asarray(time, dtype=float), np.asarray(angle, dtype=float)
     samples = np.concatenate([gyro_b, accel_b], axis=1)
     if len(time) < _FEWEST_SAMPLES:
-        return _rejected(time, angle, f"only {len(time)} samples, at least {_FEWEST_SAMPLES} are needed")
+        return rejected_dwell(time, angle, f"only {len(time)} samples, at least {_FEWEST_SAMPLES} are needed")
     if not (np.isfinite(samples).all() and np.isfinite(angle).all()):
-        return _rejected(time, angle, f"{np.sum(~np.isfinite(samples).all(axis=1))} samples are not numbers")
+        return rejected_dwell(time, angle, f"{np.sum(~np.isfinite(samples).all(axis=1))} samples are not numbers")
     interval = np.median(np.diff(time))
     if not interval > 0:
-        return _rejected(time, angle, "the stamps do not increase")
+        return rejected_dwell(time, angle, "the stamps do not increase")
     if np.ptp(angle) > params.largest_angle_spread:
-        return _rejected(time, angle, f"the table turned by {np.degrees(np.ptp(angle)):.3g} deg")
+        return rejected_dwell(time, angle, f"the table turned by {np.degrees(np.ptp(angle)):.3g} deg")
     kept = np.ones(len(samples), dtype=bool)
     if params.robust:
         kept = np.all([_inliers(column) for column in samples.T], axis=0)
@@ -83,7 +83,8 @@ def reduce_dwell(time, angle, gyro_b, accel_b, params):
                  float(kept.mean()), reason)
 
 
-def _rejected(time, angle, reason):
+def rejected_dwell(time, angle, reason):
+    """Return a dwell of samples at times, s, and table angles, rad, that is not used for the reason."""
     unknown = np.full(3, np.nan)
     start, end = (float(time[0]), float(time[-1])) if len(time) else (np.nan, np.nan)
     return Dwell(float(angle.mean()) if len(angle) else np.nan, start, end, unknown, unknown, 0.0, reason)
@@ -102,8 +103,11 @@ def _movement(samples, kept, interval, params):
     rate = np.linalg.norm(samples[kept, :3].mean(axis=0))
     if rate > params.largest_rate:
         return f"not still: turning at {np.degrees(rate):.3g} deg/s"
-    parts = [part[good].mean(axis=0) if good.any() else np.full(6, np.nan) for part, good in zip(
-        np.array_split(samples, _PARTS), np.array_split(kept, _PARTS), strict=True)]
+    good_parts = np.array_split(kept, _PARTS)
+    if not all(good.any() for good in good_parts):
+        return f"not still: {_PARTS - sum(good.any() for good in good_parts)} of {_PARTS} parts are all outliers"
+    parts = [part[good].mean(axis=0) for part, good in zip(
+        np.array_split(samples, _PARTS), good_parts, strict=True)]
     seconds = len(samples) / _PARTS * interval
     gyro_std = np.hypot(params.gyro_noise_density / np.sqrt(seconds), params.gyro_bias_instability)
     accel_std = params.accel_noise_density / np.sqrt(seconds)
@@ -111,8 +115,8 @@ def _movement(samples, kept, interval, params):
     scatter = samples[kept].std(axis=0) / np.sqrt(seconds / interval)
     limit = params.still_threshold * np.maximum(scatter, np.repeat([gyro_std, accel_std], 3))
     spread = np.abs(parts - np.mean(parts, axis=0)).max(axis=0) / limit
-    if not spread.max() <= 1:
-        worst = int(np.argmax(np.nan_to_num(spread, nan=np.inf)))
+    if spread.max() > 1:
+        worst = int(np.argmax(spread))
         name = ("x gyro", "y gyro", "z gyro", "x accelerometer", "y accelerometer", "z accelerometer")[worst]
         return f"not still: the {name} changed by {spread[worst]:.3g} times what its noise allows"
     return ""

@@ -12,9 +12,9 @@ import numpy as np
 
 _LARGEST_RATIO_ERROR = 0.05  # more than any scale factor
 _LARGEST_DELAY = 0.02  # s, told beyond
+_DELAY_STD = 2e-3  # s, from which a delay is known
 _FEWEST = 20  # samples of a move
-_SMALLEST_TURN = 0.3  # rad, RMS over a move: gyro biases matter little beside it
-_SMALLEST_CHANGE = 0.02  # rad/s, RMS change of the rate: enough to see a delay
+_TURN = 1.0  # rad, of which a long move is cut into parts; gyro biases matter little beside it
 _LARGEST_RESIDUAL = 0.05  # of the turn: the joint follows the gyro
 _DEGREE = math.degrees(1.0)
 
@@ -42,8 +42,8 @@ class JointVerdict:
         """What else should be told, or an empty string."""
         if abs(self.delay) > _LARGEST_DELAY:
             way = "late" if self.delay > 0 else "early"
-            return (f"the joint's stamps are {1e3 * abs(self.delay):.0f} ms {way}: set joint_delay to "
-                    f"{self.delay:.3f}, or turn the table both ways")
+            return (f"the joint's stamps are {1e3 * abs(self.delay):.0f} ms {way}, which turns the heading of a table "
+                    f"that turns steadily: set joint_delay to {self.delay:.3f}")
         return ""
 
 
@@ -52,9 +52,10 @@ class JointCheck:
 
     def __init__(self):
         self._normal, self._moment, self._square, self._count = np.zeros((2, 2)), np.zeros(2), 0.0, 0
+        self._move = []
 
     def add(self, time, angle, gyro_z):
-        """Take in a move, or a part of a long one: samples without a gap.
+        """Take in samples of a move that follow those before without a gap.
 
         Parameters
         ----------
@@ -65,34 +66,46 @@ class JointCheck:
         gyro_z : (N,) float64, rad/s
             Mean over each interval, about z, down.
         """
-        if len(time) < _FEWEST:
+        self._move.append(np.stack([time, angle, gyro_z]))
+        if abs(angle[-1] - self._move[0][1, 0]) > _TURN:
+            self.end_move()
+
+    def end_move(self):
+        """Sum up the move so far; what follows is another."""
+        if not self._move:
+            return
+        time, angle, gyro_z = np.concatenate(self._move, axis=1)
+        self._move = []
+        if len(time) < _FEWEST or np.ptp(angle) < 0.5 * _TURN:
             return
         interval = np.diff(time, prepend=2 * time[0] - time[1])
         turned = np.cumsum(gyro_z * interval) - 0.5 * gyro_z * interval
         columns = np.stack([turned, -gyro_z])
         columns -= columns.mean(axis=1, keepdims=True)
         angle = angle - angle.mean()
-        if turned.std() > _SMALLEST_TURN:
-            self._normal += columns @ columns.T
-            self._moment += columns @ angle
-            self._square += angle @ angle
-            self._count += len(angle)
+        self._normal += columns @ columns.T
+        self._moment += columns @ angle
+        self._square += angle @ angle
+        self._count += len(angle)
 
     def verdict(self):
         """Return the :class:`JointVerdict` so far."""
-        if not self._count:
+        turned, cross, rate = self._normal[0, 0], self._normal[0, 1], self._normal[1, 1]
+        if not turned > 0:
             return JointVerdict()
-        turn, change = np.sqrt(np.diag(self._normal) / self._count)
-        delay = math.nan
-        if change > _SMALLEST_CHANGE:
+        ratio, delay = float(self._moment[0] / turned), math.nan
+        residual = self._residual(ratio * self._moment[0])
+        # What the rate's changes add to a constant rate, which cannot tell a delay.
+        change = rate - cross ** 2 / turned
+        if change > 0:
             found = np.linalg.solve(self._normal, self._moment)
-            ratio, delay = float(found[0]), float(found[1] / found[0])
-            fitted = float(found @ self._moment)
-        else:
-            ratio = float(self._moment[0] / self._normal[0, 0])
-            fitted = ratio * float(self._moment[0])
-        residual = math.sqrt(max(self._square - fitted, 0.0) / self._count)
-        return JointVerdict(ratio, delay, _error(ratio, residual / (abs(ratio) * turn)))
+            with_delay = self._residual(found @ self._moment)
+            if with_delay < _DELAY_STD * abs(found[0]) * math.sqrt(change):
+                ratio, delay, residual = float(found[0]), float(found[1] / found[0]), with_delay
+        return JointVerdict(ratio, delay, _error(ratio, residual / math.sqrt(self._square / self._count)))
+
+    def _residual(self, explained):
+        return math.sqrt(max(self._square - explained, 0.0) / self._count)
 
 
 def _error(ratio, residual):
@@ -104,4 +117,4 @@ def _error(ratio, residual):
                            (-_DEGREE, "is it in deg, not rad, and clockwise?")):
         if abs(ratio / factor - 1) < _LARGEST_RATIO_ERROR:
             return f"{told}: {reason}"
-    return f"{told}: wrong joint, or is the IMU's z axis not along the table's?"
+    return f"{told}: is it the table's joint, is it in rad, and is the IMU's z axis along the table's?"

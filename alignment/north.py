@@ -25,7 +25,7 @@ from inertial.earth import EARTH_RATE
 _MISFIT_LIMIT = 5.0
 # Readings that scatter more than this many times their stated noise are not those of a table at rest. Less widens
 # the deviation of the result (HarmonicFit.widened): nobody knows his noise that well.
-_LARGEST_SCATTER = 3.0
+LARGEST_SCATTER = 3.0
 
 
 def find_north(fit_x, fit_y, level, level_covariance, latitude, priors):
@@ -73,9 +73,8 @@ def find_north(fit_x, fit_y, level, level_covariance, latitude, priors):
         np.full(count, priors.scale_std ** 2), np.full(count, priors.skew_std ** 2), level.reshape(-1, 2),
         np.asarray(level_covariance, dtype=float), float(latitude), priors.latitude_std ** 2,
         priors.table_zero_std ** 2, out)
-    scattered = np.any([(fit.excess > _MISFIT_LIMIT) & (fit.scatter > _LARGEST_SCATTER) for fit, _ in channels],
-                       axis=0)
-    return _result(out.reshape(*shape, 6), channels[0][0].bias, scattered, covariance, level, latitude, priors)
+    scatter = np.max([np.where(fit.excess > _MISFIT_LIMIT, fit.scatter, 1.0) for fit, _ in channels], axis=0)
+    return _result(out.reshape(*shape, 6), channels[0][0].bias, scatter, covariance, level, latitude, priors)
 
 
 def explain_scale(ratio):
@@ -93,7 +92,7 @@ def explain_scale(ratio):
     return f"{ratio:.3g} times the expected: the base turns, or the latitude or the level is wrong"
 
 
-def _result(out, bias, scattered, covariance, level, latitude, priors):
+def _result(out, bias, scatter, covariance, level, latitude, priors):
     heading, variance, misfit, second, gap, scale = np.moveaxis(out, -1, 0)
     reach = sensitivity(level[..., 0], level[..., 1], heading, latitude)
     blind = ~(reach >= SINGULAR_SENSITIVITY)
@@ -104,8 +103,8 @@ def _result(out, bias, scattered, covariance, level, latitude, priors):
     scale_std = np.sqrt(np.trace(covariance[0]) + priors.scale_std ** 2)
     wrong_scale = np.abs(scale - 1) > LARGEST_SCALE_ERROR + _MISFIT_LIMIT * scale_std
     quality |= np.where(wrong_scale, Quality.SCALE.value, 0)
-    scattered = scattered | (misfit > _MISFIT_LIMIT ** 2)
-    quality |= np.where(scattered, Quality.INCONSISTENT.value, 0)
+    inconsistent = (scatter > LARGEST_SCATTER) | (misfit > _MISFIT_LIMIT ** 2)
+    quality |= np.where(inconsistent, Quality.INCONSISTENT.value, 0)
     second = np.where(ambiguous, second, np.nan)
     return HeadingResult(np.where(blind, np.nan, heading), np.where(blind, np.nan, variance),
-                         np.stack([heading, second], axis=-1), bias, scale, quality, chi2=misfit)
+                         np.stack([heading, second], axis=-1), bias, scale, quality, chi2=misfit, scatter=scatter)

@@ -85,6 +85,8 @@ class HeadingResult:
         Squared normalised misfit to the Earth rate, one degree of freedom; NaN for closed forms.
     latitude : (...) float64, rad
         Where the method finds it (azimuth 6), as a cross-check; otherwise NaN.
+    scatter : (...) float64
+        How many times their stated noise the readings scatter; NaN where that is not judged.
     """
 
     heading: np.ndarray
@@ -95,6 +97,7 @@ class HeadingResult:
     quality: np.ndarray
     chi2: np.ndarray = field(default_factory=lambda: np.asarray(np.nan))
     latitude: np.ndarray = field(default_factory=lambda: np.asarray(np.nan))
+    scatter: np.ndarray = field(default_factory=lambda: np.asarray(np.nan))
 
     @property
     def std(self):

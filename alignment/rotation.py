@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from alignment.azimuth import METHODS
 from alignment.bounds import best_angle, turning_noise_density
 from alignment.comparison import compare_headings, compare_levels, turning_readings
 from alignment.errors import NotEnoughDataError
@@ -20,7 +21,7 @@ from alignment.results import wrap_angle
 from alignment.station import AlignmentResult, noise_std, solve_table, time_left
 
 _LONGEST_GAP = 0.5  # s between samples over which the table's rate is not known
-_TURNED_BACK = 0.1  # share of the time from which a table counts as turning both ways
+_TURNED_BACK = 0.1  # share of the way from which a table counts as turning both ways
 _ENOUGH_TO_START = 5000  # readings about which the sums are taken
 _LARGEST_ZERO_STD = 0.2  # rad; beyond, the first order of the prior is none
 
@@ -32,10 +33,16 @@ class SteadyRotation:
     ----------
     params : alignment.params.AlignmentParams
         May be replaced at any time.
+
+    Attributes
+    ----------
+    delay_seen : float, s
+        Size of a delay between the stamps of joint and IMU that has been seen; it counts like ``joint_delay_std``.
     """
 
     def __init__(self, params):
         self.params = params
+        self.delay_seen = 0.0
         self.reset()
 
     def reset(self):
@@ -44,13 +51,8 @@ class SteadyRotation:
         self._normal, self._moment, self._squares = np.zeros((5, 5)), np.zeros((5, 5)), np.zeros(5)
         self._start = None
         self._last = None
-        self._origin = self._travel = self._forward = self._backward = 0.0
+        self._origin = self._duration = self._travel = self._turned = 0.0
         self._count = self._kept = 0
-
-    @property
-    def duration(self):
-        """Length of the samples, s."""
-        return self._forward + self._backward
 
     @property
     def started(self):
@@ -86,7 +88,7 @@ class SteadyRotation:
         interval = np.diff(time, prepend=self._last[0])
         step = wrap_angle(np.diff(angle, prepend=self._last[1]))
         self._last = time[-1], angle[-1]
-        follows = (interval > 0) & (interval < _LONGEST_GAP) & (step != 0)
+        follows = (interval > 0) & (interval < _LONGEST_GAP)
         time, angle, interval, step = time[follows], angle[follows], interval[follows], step[follows]
         if not len(time):
             return
@@ -94,12 +96,12 @@ class SteadyRotation:
                             time - self._origin], axis=-1)
         readings = np.concatenate([gyro_b[follows, :2], accel_b[follows]], axis=-1)
         residual = readings - columns @ self._start
-        for ahead in (step > 0, step < 0):
+        for ahead in (step > 0, step <= 0):
             self._sum(columns[ahead], residual[ahead], interval[ahead])
         self._count += len(columns)
+        self._duration += float(interval.sum())
         self._travel += float(np.abs(step).sum())
-        self._forward += float(interval[step > 0].sum())
-        self._backward += float(interval[step < 0].sum())
+        self._turned += float(step.sum())
 
     def _sum(self, columns, residual, interval):
         if not len(columns):
@@ -117,9 +119,14 @@ class SteadyRotation:
         self._kept += len(columns)
 
     @property
+    def both_ways(self):
+        """Whether the table has turned both ways."""
+        return abs(self._turned) < (1 - 2 * _TURNED_BACK) * self._travel
+
+    @property
     def _rate(self):
         """Mean size of the table's rate, rad/s."""
-        return self._travel / self.duration if self.duration > 0 else 0.0
+        return self._travel / self._duration if self._duration > 0 else 0.0
 
     @property
     def _rate_density(self):
@@ -136,11 +143,10 @@ class SteadyRotation:
         """
         if not self._rate > 0:
             raise NotEnoughDataError("the table does not turn steadily")
-        both_ways = min(self._forward, self._backward) > _TURNED_BACK * self.duration
-        chosen = [0, 1, 2] + [3] * both_ways + [4] * self.params.estimate_drift
+        chosen = [0, 1, 2] + [3] * self.both_ways + [4] * self.params.estimate_drift
         normal = self._normal[np.ix_(chosen, chosen)]
         density = np.array([self._rate_density] * 2 + [self.params.accel_noise_density] * 3)
-        variance = density ** 2 * self._count / self.duration
+        variance = density ** 2 * self._count / self._duration
         return [fit_from_sums(normal, self._moment[chosen, k], self._squares[k], self._kept,
                               self._start[chosen, k], variance[k]).widened() for k in range(5)]
 
@@ -161,7 +167,7 @@ class SteadyRotation:
         params = self.params
         fits = self.fits()
         # A delay turns the table's zero by as much as the table turns, one way less the other.
-        turned = (self._forward - self._backward) / self.duration * self._rate * params.joint_delay_std
+        turned = self._turned / self._duration * max(params.joint_delay_std, self.delay_seen)
         zero_std = min(math.hypot(params.table_zero_std, turned), _LARGEST_ZERO_STD)
         level, north = solve_table(*fits[:4], float(fits[4].bias),
                                    dataclasses.replace(params, table_zero_std=zero_std))
@@ -170,7 +176,7 @@ class SteadyRotation:
         noise = noise_std(fits, level, params)
         white = params.gyro_noise_density / self._rate_density
         return AlignmentResult(level, north, noise * math.sqrt(1 - white ** 2),
-                               time_left(float(north.std), noise, self.duration, params.target_std))
+                               time_left(float(north.std), noise, self._duration, params.target_std))
 
     def compare_levels(self):
         """Return the level by every levelling method that a rotation serves: name to result."""
@@ -178,13 +184,15 @@ class SteadyRotation:
         return {"joint": self.result().level} | compare_levels(
             turning_readings(fits[2]), turning_readings(fits[3]), self.params)
 
-    def compare_headings(self, level=None):
+    def compare_headings(self, level=None, names=tuple(METHODS)):
         """Return the heading by the joint estimator and by every closed form that a rotation serves: name to result.
 
         Parameters
         ----------
         level : alignment.results.LevelResult, optional
             The joint one when absent.
+        names : iterable of str
+            Closed forms wanted.
         """
         found = self.result()
         if found.north is None:
@@ -192,4 +200,4 @@ class SteadyRotation:
         level = found.level if level is None else level
         best = best_angle(float(level.roll), float(level.pitch), float(found.north.heading), self.params.latitude)
         return {"joint": found.north} | compare_headings(
-            turning_readings(self.fits()[0], best), level, self.params, float(found.north.heading))
+            turning_readings(self.fits()[0], best), level, self.params, names, float(found.north.heading))

@@ -11,11 +11,13 @@ from collections import deque
 
 import numpy as np
 
+from alignment.azimuth import METHODS
 from alignment.collector import DwellCollector, columns_of
 from alignment.dwells import Dwell
 from alignment.errors import NotEnoughDataError
-from alignment.north import explain_scale
-from alignment.results import SINGULAR_SENSITIVITY, UNBELIEVABLE, Quality
+from alignment.joint_check import JointVerdict
+from alignment.reasons import doubt_latitude, explain_heading, explain_level, sign_matters
+from alignment.results import SINGULAR_SENSITIVITY
 from alignment.rotation import SteadyRotation
 from alignment.sequences import FOUR_POSITIONS
 from alignment.station import TableAlignment
@@ -40,6 +42,8 @@ class TableSession:
     ----------
     result : alignment.station.AlignmentResult or None
         None until the first second at rest; later of the parameters' method.
+    joint : alignment.joint_check.JointVerdict
+        What the moves tell of the joint.
     running : bool
         While it is false samples are ignored.
     """
@@ -78,8 +82,9 @@ class TableSession:
         self._rotation.reset()
         self._collector.reset()
         self._blocks = deque()
-        self._told_joint = ""
+        self._told, self._preview_at = set(), _PREVIEW
         self.result, self._source, self._missing = None, None, ""
+        self.joint = JointVerdict()
         self.wanted = self._next_angle()
 
     def stop(self):
@@ -134,11 +139,6 @@ class TableSession:
         return self._collector.angle
 
     @property
-    def joint(self):
-        """What the moves tell of the joint: a :class:`alignment.joint_check.JointVerdict`."""
-        return self._collector.joint_check.verdict()
-
-    @property
     def lost(self):
         """Samples without an angle, or angles without samples."""
         return self._collector.lost
@@ -179,20 +179,22 @@ class TableSession:
         if self.result is None:
             return "the table has not stood still yet"
         level, north = self.result.level, self.result.north
-        if level.flags & Quality.SCALE:
-            return f"the accelerometers read {explain_scale(float(level.scale))}"
-        if self.joint.error:
-            return self.joint.error
-        if level.flags & Quality.INCONSISTENT:
-            return "the x and y accelerometers tell different tilts: do they turn as the joint's angle says?"
-        if self._no_latitude:
-            return self._no_latitude
+        wrong = self.joint.error or explain_level(level) or self._station.moved or self._no_latitude
+        if wrong:
+            return wrong
         if north is None:
             return self._missing or self._too_few
-        return "; ".join(text for flag, text in _REASONS.items() if north.flags & flag & UNBELIEVABLE).format(
-            scale=explain_scale(float(north.scale)) if np.isfinite(north.scale) else "",
-            other=math.degrees(float(north.branches[1])) if len(north.branches) > 1 else math.nan,
-            chi2=float(north.chi2))
+        one_way = self.turning and not self._rotation.both_ways
+        told = explain_heading(north, level, self.params.latitude, one_way)
+        return told or (self.doubt if sign_matters(level, float(north.std), self.params.latitude) else "")
+
+    @property
+    def doubt(self):
+        """What speaks against the latitude's sign; empty when nothing does."""
+        result = self.result
+        if result is None or result.north is None or np.isnan(result.north.heading):
+            return ""
+        return doubt_latitude(result.gyro_bias, result.level, float(result.north.heading), self.params.latitude)
 
     @property
     def _too_few(self):
@@ -200,8 +202,13 @@ class TableSession:
             return f"{len(self.dwells)} of at least {_FEWEST_ANGLES} table angles so far"
         return self.result.reason
 
-    def compare(self):
+    def compare(self, names=METHODS):
         """Return levels and headings by every method that can be had: two dicts, name to result.
+
+        Parameters
+        ----------
+        names : iterable of str
+            Heading methods wanted.
 
         Raises
         ------
@@ -210,7 +217,7 @@ class TableSession:
         """
         source = self._source or self._station
         levels = source.compare_levels()
-        headings = {} if self._no_latitude else source.compare_headings(levels.get(self.params.levelling))
+        headings = {} if self._no_latitude else source.compare_headings(levels.get(self.params.levelling), names)
         return levels, headings
 
     def _add(self, dwells):
@@ -234,13 +241,14 @@ class TableSession:
 
     def _preview(self):
         """Give the level of the first seconds; a later dwell is better."""
-        if self.result is not None or self._collector.elapsed < _PREVIEW:
+        if self.result is not None or self._collector.elapsed < self._preview_at:
             return False
+        self._preview_at = self._collector.elapsed + _PREVIEW
         first = TableAlignment(self._station.params)
         if first.add(self._collector.partial()):
             return False
         self.result = first.result()
-        self._missing = "the first dwell is under way"
+        self._missing = "no dwell yet"
         return True
 
     def _turn(self, last=False):
@@ -256,7 +264,10 @@ class TableSession:
 
     def _solve(self):
         """Take the better of what the dwells and what the steady turning tell; return whether there is any."""
-        self._judge_joint()
+        self.joint = joint = self._collector.joint_check.verdict()
+        self._tell("joint error", joint.error)
+        self._tell("joint warning", joint.warning)
+        self._rotation.delay_seen = 0.0 if math.isnan(joint.delay) else abs(joint.delay)
         best = None
         for source in (self._station, self._rotation):
             try:
@@ -269,22 +280,21 @@ class TableSession:
             return False
         found, self._source = best
         self.result, self._missing = self._by_method(found)
+        self._tell("latitude", self.doubt)
         return True
 
-    def _judge_joint(self):
-        """Tell what the moves say of the joint, when it is something new."""
-        verdict = self._collector.joint_check.verdict()
-        told = verdict.error or verdict.warning
-        if told and told.partition(":")[0] != self._told_joint:
-            self._told_joint = told.partition(":")[0]
-            self._remarks.append((False, told))
+    def _tell(self, kind, text):
+        """Remark a text of each kind once."""
+        if text and kind not in self._told:
+            self._told.add(kind)
+            self._remarks.append((False, text))
 
     def _by_method(self, found):
         """Return the result with level and heading by the parameters' methods, and what these lack."""
         method, levelling = self.params.method, self.params.levelling
         if method == levelling == "joint" or found.north is None:
             return found, ""
-        levels, headings = self.compare()
+        levels, headings = self.compare([method])
         lacking = [name for name, there in ((levelling, levels), (method, headings)) if name not in there]
         if lacking:
             missing = f"{lacking[0]} lacks a position: the sequence goes on"
@@ -320,10 +330,3 @@ def warm_up(params):
         station.add(Dwell(angle, float(k), k + 1.0, readings.gyro_b[k], readings.accel_b[k]))
     station.result()
 
-
-_REASONS = {
-    Quality.SINGULAR: "this geometry carries no information about the heading",
-    Quality.AMBIGUOUS: "another heading fits as well ({other:.1f} deg): go on",
-    Quality.SCALE: "the gyros read {scale}",
-    Quality.INCONSISTENT: "the readings scatter more than their noise and priors allow (chi2 {chi2:.3g})",
-}

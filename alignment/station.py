@@ -6,11 +6,12 @@ level from the first dwell on and heading as soon as three angles have been seen
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from alignment import bounds, sequences
+from alignment.azimuth import METHODS
 from alignment.comparison import compare_headings, compare_levels, dwell_readings
 from alignment.errors import NotEnoughDataError
 from alignment.harmonic import OUTLIER_THRESHOLD, deletion_residuals, fit_harmonic
@@ -18,6 +19,8 @@ from alignment.levelling import level_jointly
 from alignment.north import find_north
 from alignment.params import NorthPriors
 from alignment.results import LARGEST_SCALE_ERROR, UNBELIEVABLE, HeadingResult, LevelResult, Quality
+from alignment.turntable import earth_direction_t
+from inertial.earth import EARTH_RATE
 from inertial.rotation import roll_pitch_from_down
 
 _SMALLEST_COS_PITCH = 1e-3  # keeps the roll's variance finite when the table stands on end
@@ -25,6 +28,7 @@ _LONGEST_FORECAST = 24 * 3600.0
 _NO_PRIORS = NorthPriors(0.0, 0.0, 0.0, 0.0)
 _HALF_TURN = (0.0, math.pi)
 _FEWEST_TO_JUDGE = 6  # dwells that agree, from which one that does not is rejected
+_MOVED = 3  # dwells one after another that disagree with all before
 _LARGEST_OUTLYING = 0.2  # share of the dwells that may disagree; where more do it is not they that are wrong
 
 
@@ -43,6 +47,9 @@ class AlignmentResult:
         Until the asked accuracy; 0 when reached, infinite when it cannot be.
     reason : str
         Why ``north`` is None, where the readings are not enough for it.
+    gyro_bias : (3,) float64, rad/s
+        Of x and y, as the turn tells them; of z what its mean reading leaves beside the Earth's rate. NaN where
+        not known.
     """
 
     level: LevelResult
@@ -50,6 +57,7 @@ class AlignmentResult:
     floor: float
     time_left: float
     reason: str = ""
+    gyro_bias: np.ndarray = field(default_factory=lambda: np.full(3, np.nan))
 
     @property
     def believable(self):
@@ -119,8 +127,7 @@ class TableAlignment:
 
     def __init__(self, params):
         self.params = params
-        self._dwells = []
-        self.rejected = []
+        self.reset()
 
     @property
     def dwells(self):
@@ -137,7 +144,19 @@ class TableAlignment:
             return reason
         self._dwells.append(dwell)
         self._reject_outlying()
-        return "" if self._dwells and self._dwells[-1] is dwell else self.rejected[-1].rejection
+        if self._dwells[-1] is dwell:
+            self._disagreeing = 0
+            return ""
+        self._disagreeing += 1
+        return next(bad.rejection for bad in self.rejected if bad.start == dwell.start)
+
+    @property
+    def moved(self):
+        """What tells that the table has moved, or an empty string."""
+        if self._disagreeing < _MOVED:
+            return ""
+        return (f"the last {self._disagreeing} dwells disagree with all before: the table or the IMU on it has moved; "
+                "begin anew (~/reset)")
 
     def _reject_outlying(self):
         """Reject dwells that disagree with all the others, if few do."""
@@ -174,7 +193,7 @@ class TableAlignment:
 
     def reset(self):
         """Forget every dwell."""
-        self._dwells, self.rejected = [], []
+        self._dwells, self.rejected, self._disagreeing = [], [], 0
 
     def next_angle(self):
         """Return the table angle wanted next, rad, following the sequence of the parameters."""
@@ -223,16 +242,20 @@ class TableAlignment:
             for instability in (0.0, self.params.gyro_bias_instability))
         noise = noise_std(fits, level, self.params)
         floor = noise * math.sqrt(max(1.0 - (white / total) ** 2, 0.0))
-        return AlignmentResult(level, north, floor,
-                               time_left(float(north.std), noise, self._used_time(), self.params.target_std))
+        left = time_left(float(north.std), noise, self._used_time(), self.params.target_std)
+        down = EARTH_RATE * earth_direction_t(*attitude)[2]
+        bias_z = np.average(self._column("gyro_b", 2), weights=schedule.duration) - down
+        return AlignmentResult(level, north, floor, left, gyro_bias=np.array([fits[0].bias, fits[1].bias, bias_z]))
 
-    def compare_headings(self, level=None, hint=None):
+    def compare_headings(self, level=None, names=tuple(METHODS), hint=None):
         """Return the heading by the joint estimator and by every closed form that the dwells serve: name to result.
 
         Parameters
         ----------
         level : alignment.results.LevelResult, optional
             The joint one when absent.
+        names : iterable of str
+            Closed forms wanted.
         hint : float, optional
             Heading by a compass, rad, to choose among branches; the joint estimator's when absent.
         """
@@ -248,7 +271,7 @@ class TableAlignment:
         readings = dwell_readings(schedule, rate, covariance, fit_harmonic(schedule.angle, rate, covariance),
                                   self.params.position_tolerance, best, tipped=self._column("gyro_b", 2))
         hint = float(found.north.heading) if hint is None else hint
-        return {"joint": found.north} | compare_headings(readings, level, self.params, hint)
+        return {"joint": found.north} | compare_headings(readings, level, self.params, names, hint)
 
     def compare_levels(self):
         """Return the level by every levelling method that the dwells serve: name to result."""

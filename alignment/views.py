@@ -168,6 +168,7 @@ class TableView:
                   "next_joint_rad": joint_position(session.wanted)}
         if session.rejected:
             values["last_rejection"] = session.rejected[-1].rejection
+        values |= {"joint_per_gyro_turn": session.joint.ratio, "joint_delay_s": session.joint.delay}
         return values | {"gaps": session.gaps, "samples_without_angle": session.lost}
 
     def findings(self):
@@ -192,6 +193,8 @@ class TableView:
         dwells = f"{len(session.dwells)} used, {len(session.rejected)} rejected"
         return [("dwells", dwells + "; the table turns steadily" * session.turning),
                 *(("rejected", dwell.rejection) for dwell in session.rejected),
+                *((title, text) for title, text in (("joint", session.joint.warning), ("latitude", session.doubt))
+                  if text),
                 ("flags", self.status().get("flags", "none"))]
 
 
