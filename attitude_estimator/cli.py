@@ -8,6 +8,8 @@ With ``--smooth`` the whole bag is one part, and each estimate knows what came a
 import argparse
 import dataclasses
 import itertools
+import shutil
+import sys
 import time
 import warnings
 from collections import Counter
@@ -35,11 +37,13 @@ from nav_ros.bags import (
     BagReader,
     BagWarning,
     BagWriter,
+    bag_name,
     choose_altitude,
     read_recording,
 )
 from nav_ros.bias_file import read_biases
 from nav_ros.cli import (
+    USAGE_ERROR,
     add_parameter_options,
     add_topic_option,
     one_line_errors,
@@ -62,6 +66,7 @@ from nav_ros.time_gate import StampCode, classify_stamps, gate_state
 
 PART = 20_000  # messages that are estimated at once; more only takes memory
 CHECK_RATE = 50.0  # Hz at which samples are looked over for a wrong unit
+SUSPECT_SHARE = 0.01  # of samples with a rate beyond gyro_range, from which the unit is in doubt
 
 
 class BagEstimator:
@@ -83,6 +88,8 @@ class BagEstimator:
             check_smoothable(params)
         self._smoothed = smoothed
         self._stored = read_biases(params.bias_file) if params.bias_file else None
+        if params.bias_file and self._stored is None:
+            warnings.warn(f"bias_file = {params.bias_file!r}: there is no such file", BagWarning, stacklevel=2)
         if smoothed and self._stored is not None:
             raise ValueError(f"bias_file = {params.bias_file!r}: the smoother finds the biases from both ends")
         self._noise = MessageNoise()
@@ -94,6 +101,7 @@ class BagEstimator:
         self._imu_topic, self._altimeter_topic = imu_topic, altimeter_topic
         self._altimeter_type = altimeter_type
         self._source = AltitudeSource(altimeter_type) if altimeter_type else None
+        self._refused = {}
         self._encoders = {}
         self._slot = -1
         self.counts = Counter()
@@ -113,6 +121,7 @@ class BagEstimator:
         self._start_with_stored(stamps[actions == ACTION_USE])
         estimates, fresh = self._run(series, *self._altitudes(part, batch.index), actions)
         self.counts["samples"] += len(estimates)
+        self.counts["attitudes"] += int(np.sum(estimates.valid))
         receive_ns = np.array([message.receive_ns for message in imu], np.int64)[batch.index][fresh]
         frame_ids = [batch.frame_id[k] for k in np.flatnonzero(fresh)]
         return self._encode(estimates, receive_ns, frame_ids)
@@ -152,13 +161,27 @@ class BagEstimator:
     @property
     def faults(self):
         """Name -> count of everything that was refused or bridged."""
-        counts = {name: count for name, count in self.counts.items() if name != "samples"}
+        counts = {name: count for name, count in self.counts.items() if name not in ("samples", "attitudes")}
         return {name: count for name, count in (vars(self._faults) | counts).items() if count}
+
+    @property
+    def told_faults(self):
+        """The faults as one text, empty where there are none."""
+        return ", ".join(f"{name} {count}" for name, count in self.faults.items())
 
     @property
     def suspicions(self):
         """What the values show of a wrong unit or a wrong side up, a list of texts."""
-        return list(self._check.faults.values())
+        suspicions = list(self._check.faults.values())
+        beyond = vars(self._faults).get("gyro_out_of_range", 0)
+        if "gyro_unit" not in self._check.faults and beyond > SUSPECT_SHARE * self.counts["samples"]:
+            suspicions.append(f"{beyond} rates are beyond gyro_range = {self._params.gyro_range:g} rad/s: are they in "
+                              "deg/s? An Imu has rad/s: multiply by pi/180")
+        suspicions += [f"{self.counts[fault]} samples of {self._altimeter_topic} refused: {reason}"
+                       for fault, reason in self._refused.items()]
+        if self.counts["samples"] and not self.counts["attitudes"]:
+            suspicions.append("no sample has an attitude: is this an IMU that feels gravity, in m/s^2?")
+        return suspicions
 
     def _altitudes(self, part, imu_index):
         """Return the altitudes of a part and their variances; arrival counts decoded IMU messages."""
@@ -179,11 +202,13 @@ class BagEstimator:
         for place, stamp_ns, fields in zip(batch.index, batch.stamp_ns, batch.values, strict=True):
             if stamp_ns <= 0:
                 self.counts["altitude_no_stamp"] += 1
+                self._refused.setdefault("altitude_no_stamp", "they have no stamp")
                 continue
             try:
                 altitude, variance = self._source.convert(fields)
             except AltitudeRefusedError as error:
                 self.counts[error.fault] += 1
+                self._refused.setdefault(error.fault, str(error))
                 continue
             stamps.append(stamp_ns)
             values.append(altitude)
@@ -240,10 +265,17 @@ def estimate_bag(path, out, params, topics, storage="mcap", *, smoothed=False):
     Raises
     ------
     nav_ros.bags.BagError
+        There is no such bag, no IMU in it, a topic of another type, or nothing that can be used.
     """
     with BagReader(path) as bag:
         bag.require(topics["imu"], TYPES["imu"])
+        bag.require_remapped(topics)
         altimeter = choose_altitude(bag.types, topics, params.altitude_source)
+        if altimeter:
+            bag.require(topics[altimeter], TYPES[altimeter])
+        elif params.altitude_source == "auto":
+            warnings.warn(f"{path}: neither {topics['altitude']} nor {topics['pressure']} is there: the IMU alone is "
+                          f"used; topics there: {', '.join(sorted(bag.types))}", BagWarning, stacklevel=2)
         truth = topics["truth"] if topics["truth"] in bag.types else None
         wanted = [topics["imu"], *([topics[altimeter]] if altimeter else []), *([truth] if truth else [])]
         estimator = BagEstimator(params, topics["imu"], topics.get(altimeter), TYPES.get(altimeter),
@@ -259,7 +291,10 @@ def estimate_bag(path, out, params, topics, storage="mcap", *, smoothed=False):
                     part = []
             _write(writer, estimator, part, truth)
     if not estimator.counts["samples"]:
-        raise BagError(f"{path}: no usable IMU sample on {topics['imu']}")
+        shutil.rmtree(out)
+        why = estimator.told_faults or "no message"
+        hint = "; fixed_dt is the interval of samples without a stamp" if estimator.counts["no_stamp"] else ""
+        raise BagError(f"{path}: no usable IMU sample on {topics['imu']}: {why}{hint}")
     return estimator
 
 
@@ -300,26 +335,48 @@ def _write(writer, estimator, part, truth):
 
 
 def main(arguments=None):
-    """Run ``estimate_bag``."""
+    """Run ``estimate_bag``; return its exit status."""
     options = _parser().parse_args(arguments)
+    status = 0
     with one_line_errors("estimate_bag"):
         *bags, out = options.bags
         if not bags:
             raise ValueError("needs at least one bag and the folder to write")
         params = parameters_of(options, "attitude_node", AttitudeNodeParams)
-        several = len(bags) > 1
-        for bag in bags:
-            began = time.perf_counter()
-            target = Path(out) / Path(bag).stem if several else Path(out)
-            topics = topics_of(options)
-            own = _with_delay(bag, params, topics) if options.fit_delay else params
-            estimator = estimate_bag(bag, target, own, topics, options.storage, smoothed=options.smooth)
-            took = time.perf_counter() - began
-            for suspicion in estimator.suspicions:
-                warnings.warn(f"{bag}: {suspicion}", BagWarning, stacklevel=1)
-            faults = ", ".join(f"{name} {count}" for name, count in estimator.faults.items())
-            print(f"{target}: {estimator.counts['samples']} estimates in {took:.1f} s; "
-                  f"{faults or 'nothing refused'}")
+        for bag, target in _targets(bags, out):
+            try:
+                _estimate_one(bag, target, params, options)
+            except BagError as error:
+                if len(bags) == 1:
+                    raise
+                print(f"estimate_bag: {error}", file=sys.stderr)
+                status = USAGE_ERROR
+    return status
+
+
+def _targets(bags, out):
+    """Return (bag, folder to make) pairs."""
+    if len(bags) == 1:
+        return [(bags[0], Path(out))]
+    names = Counter(map(bag_name, bags))
+    (name, count), = names.most_common(1)
+    if count > 1:
+        raise ValueError(f"{count} bags are named {name}: their estimates would have one folder")
+    return [(bag, Path(out) / bag_name(bag)) for bag in bags]
+
+
+def _estimate_one(bag, target, params, options):
+    began = time.perf_counter()
+    topics = topics_of(options)
+    if options.fit_delay:
+        params = _with_delay(bag, params, topics)
+    estimator = estimate_bag(bag, target, params, topics, options.storage, smoothed=options.smooth)
+    took = time.perf_counter() - began
+    for suspicion in estimator.suspicions:
+        warnings.warn(f"{bag}: {suspicion}", BagWarning, stacklevel=1)
+    samples, attitudes = estimator.counts["samples"], estimator.counts["attitudes"]
+    print(f"{target}: {samples} estimates, {attitudes / samples:.1%} with an attitude, in {took:.1f} s; "
+          f"{estimator.told_faults or 'nothing refused'}")
 
 
 def _parser():

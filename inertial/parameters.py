@@ -66,7 +66,8 @@ def _check_value(field, value, default):
                              f"{', '.join(meta['choices'])}")
         return
     if isinstance(value, (bool, str)) or not isinstance(value, (int, float)):
-        raise ValueError(f"{field.name} = {value!r}: must be a number{unit and ' in' + unit}")
+        hint = "; YAML writes .nan" if str(value).lower() == "nan" else ""
+        raise ValueError(f"{field.name} = {value!r}: must be a number{unit and ' in' + unit}{hint}")
     if math.isnan(value):
         if meta["nan_means"] is None:
             raise ValueError(f"{field.name} = nan: must be a number{unit and ' in' + unit}")

@@ -37,13 +37,19 @@ _MOTION = {"gyro_noise_density": 0.0022, "gyro_bias_walk": 5e-5, "accel_noise_de
 _PARAMETERS = """\
 # Noise of an IMU at rest, found by allan in {source}: {duration:.0f} s at {rate:.4g} Hz.
 #   attitude_node --ros-args --params-file THIS
-#   estimate_bag IN OUT --params THIS
+#   estimate_bag IN OUT --params THIS            (navigate_bag likewise)
 #   align_bag BAG --latitude DEG --params THIS
 # Root mean squares of the three axes; the upper 95 % limit of what the record does not show.
 attitude_node:
   ros__parameters:
     gyro_bias_std: {gyro_bias_std:.4g}    # rad/s, twice the largest axis of this switch-on
     # The default, which stands for vibration and temperature, with the noise at rest added.
+    gyro_noise_density: {motion[gyro_noise_density]:.4g}    # rad/s/sqrt(Hz)
+    gyro_bias_walk: {motion[gyro_bias_walk]:.4g}    # rad/s/sqrt(s)
+    accel_noise_density: {motion[accel_noise_density]:.4g}    # m/s^2/sqrt(Hz)
+navigation_node:
+  ros__parameters:
+    gyro_bias_std: {gyro_bias_std:.4g}    # rad/s
     gyro_noise_density: {motion[gyro_noise_density]:.4g}    # rad/s/sqrt(Hz)
     gyro_bias_walk: {motion[gyro_bias_walk]:.4g}    # rad/s/sqrt(s)
     accel_noise_density: {motion[accel_noise_density]:.4g}    # m/s^2/sqrt(Hz)
@@ -111,7 +117,7 @@ def _decoded(raws, topic):
 
 
 def parameter_file(noise, source):
-    """Return the text of a parameter file for ``attitude_node`` and ``alignment_node``."""
+    """Return the text of a parameter file for ``attitude_node``, ``navigation_node`` and ``alignment_node``."""
     rest = {"gyro_noise_density": noise.gyro.combined("noise_density"),
             "gyro_bias_instability": noise.gyro.combined("bias_instability"),
             "gyro_bias_walk": _walk(noise.gyro), "accel_noise_density": noise.accel.combined("noise_density")}

@@ -4,6 +4,7 @@ Reading goes in recorded order, by receive time. Whatever is wrong with a bag is
 one line; a recording that was cut off is read up to the break, and a :class:`BagWarning` says so.
 """
 
+import sqlite3
 import struct
 import warnings
 from pathlib import Path
@@ -101,7 +102,7 @@ class BagReader:
 
     def __init__(self, path):
         self._path = Path(path)
-        self.name = self._path.stem if self._path.suffix in _SUFFIXES else self._path.resolve().name
+        self.name = bag_name(path)
         self.broken = None
         self._salvaged = []
         self._readers = []
@@ -134,9 +135,22 @@ class BagReader:
         """
         if topic not in self.types:
             there = ", ".join(sorted(self.types)) or "none"
-            raise BagError(f"{self._path}: no topic {topic}; topics there: {there}")
+            fitting = ", ".join(sorted(name for name, kind in self.types.items() if kind == message_type))
+            hint = f" ({message_type} is on {fitting})" if fitting else ""
+            raise BagError(f"{self._path}: no topic {topic}{hint}; topics there: {there}")
         if message_type is not None and self.types[topic] != message_type:
             raise BagError(f"{self._path}: topic {topic} is {self.types[topic]}, expected {message_type}")
+
+    def require_remapped(self, topics):
+        """Check that the topics which differ from :data:`TOPICS` are there, of their types; `topics` is as that.
+
+        Raises
+        ------
+        BagError
+        """
+        for key, topic in topics.items():
+            if topic != TOPICS[key]:
+                self.require(topic, TYPES[key])
 
     def messages(self, topics=None):
         """Yield a (topic, receive_ns, raw) :class:`BagMessage` each, in recorded order.
@@ -250,6 +264,9 @@ class _McapWriter(McapWriter):
             self.close_chunk()
 
 
+_UNWRITABLE = (OSError, sqlite3.Error)  # a full disk, for example
+
+
 class _Writer(Writer):
     STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _McapWriter}
 
@@ -278,6 +295,7 @@ class BagWriter:
             raise BagError(f"storage {storage!r}: must be one of {', '.join(plugins)}")
         if Path(path).exists():
             raise BagError(f"{path} exists already and is not overwritten")
+        self._path = path
         self._writer = _Writer(path, version=9, storage_plugin=plugins[storage])
         if storage == "mcap":
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -299,7 +317,10 @@ class BagWriter:
 
     def close(self):
         """Finish the bag; what was written before an exception is kept readable."""
-        self._writer.close()
+        try:
+            self._writer.close()
+        except _UNWRITABLE as error:
+            raise self._cut_off(error) from error
 
     def write(self, topic, receive_ns, raw):
         """Append one serialized message.
@@ -310,8 +331,20 @@ class BagWriter:
             One of those given at the start.
         receive_ns : int
         raw : bytes
+
+        Raises
+        ------
+        BagError
+            The disk is full, for example; what was written before stays.
         """
-        self._writer.write(self._connections[topic], receive_ns, raw)
+        try:
+            self._writer.write(self._connections[topic], receive_ns, raw)
+        except _UNWRITABLE as error:
+            raise self._cut_off(error) from error
+
+    def _cut_off(self, error):
+        reason = getattr(error, "strerror", None) or error
+        return BagError(f"{self._path}: cannot be written any further ({reason}); the bag there is cut off")
 
 
 _ANY_TIME = QosTime(0, 0)
@@ -340,7 +373,7 @@ def choose_altitude(types, topics, altitude_source="auto"):
         return None
     if altitude_source == "auto" and len(there) == 2:
         raise BagError(f"both {topics['altitude']} and {topics['pressure']} are there: choose one by "
-                       "altitude_source")
+                       "altitude_source:=altitude or altitude_source:=pressure")
     if altitude_source != "auto" and altitude_source not in there:
         raise BagError(f"altitude_source is {altitude_source}, but there is no topic "
                        f"{topics[altitude_source]}")
@@ -422,6 +455,12 @@ def _altitudes(path, topic, message_type, batch, arrival):
     if not kept:
         return None
     return AltitudeSeries(batch.stamp_ns[kept], np.array(altitude), arrival[batch.index[kept]])
+
+
+def bag_name(path):
+    """Return the name of a bag: of its folder, or of its file without the suffix."""
+    path = Path(path)
+    return path.stem if path.suffix in _SUFFIXES else path.resolve().name
 
 
 def _parts(path):

@@ -138,7 +138,8 @@ def load_parameter_file(path, node_name, known):
     Raises
     ------
     ValueError
-        The file cannot be read, is no mapping, or has an unknown name (the nearest known one is told).
+        The file cannot be read, is no mapping, has nothing for the node, or an unknown name (the nearest known one
+        is told).
     """
     try:
         content = YAML(typ="safe").load(Path(path).read_text())
@@ -147,7 +148,7 @@ def load_parameter_file(path, node_name, known):
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected a mapping of parameter names to values")
     values = {}
-    for section in _sections(content, node_name):
+    for section in _sections(path, content, node_name):
         values |= _flat(section)
     known = list(known)
     for name in list(values):
@@ -218,7 +219,7 @@ def _range_text(meta):
     elif high is not None:
         parts.append(f"to {high:g}")
     if meta["nan_means"]:
-        parts.append(f"nan: {meta['nan_means']}")
+        parts.append(f".nan: {meta['nan_means']}")
     return "; ".join(parts)
 
 
@@ -229,16 +230,22 @@ def _text(value):
         return f"[{', '.join(_text(element) for element in value)}]"
     if isinstance(value, str):
         return value or '""'
-    return "nan" if isinstance(value, float) and math.isnan(value) else f"{value:g}"
+    return ".nan" if isinstance(value, float) and math.isnan(value) else f"{value:g}"
 
 
-def _sections(content, node_name):
+def _sections(path, content, node_name):
     sections = [(name, section["ros__parameters"]) for name, section in content.items()
                 if isinstance(section, dict) and "ros__parameters" in section]
     if not sections:
         return [content]
     wild = [section for name, section in sections if name in ("/**", "/*")]
     own = [section for name, section in sections if str(name).rsplit("/", 1)[-1] == node_name]
+    if not wild + own:
+        there = ", ".join(str(name) for name, _ in sections)
+        raise ValueError(f"{path}: nothing for {node_name} in it, only for {there}")
+    for section in wild + own:
+        if not isinstance(section, dict | None):
+            raise ValueError(f"{path}: ros__parameters = {section!r}: expected parameter names and values")
     return [section for section in wild + own if section]
 
 

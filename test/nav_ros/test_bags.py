@@ -1,6 +1,7 @@
 """Bags: round trips, the same bytes twice, damaged recordings, real recordings."""
 
 import os
+import resource
 import shutil
 import warnings
 from pathlib import Path
@@ -263,6 +264,20 @@ def test_what_was_written_before_an_exception_can_be_read(tmp_path):
         writer.write("/imu/data_raw", 5, StampedEncoder(IMU, "imu").encode(5, np.zeros(37)))
         raise KeyboardInterrupt
     assert len(list(read_messages(tmp_path / "run"))) == 1
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_full_disk_is_told_in_one_line(tmp_path, storage):
+    raws = StampedEncoder(IMU, "imu").encode_batch(np.arange(4000), np.random.default_rng(0).normal(size=(4000, 37)))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, hard))
+    try:
+        with (pytest.raises(BagError, match="run: cannot be written any further"),
+              BagWriter(tmp_path / "run", {"/imu/data_raw": IMU}, storage) as writer):
+            for stamp_ns, raw in enumerate(raws):
+                writer.write("/imu/data_raw", stamp_ns, raw)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_real_recordings_can_be_read(tmp_path):

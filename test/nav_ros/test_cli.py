@@ -8,6 +8,7 @@ import pytest
 
 from alignment.edge import AlignmentNodeParams
 from attitude_estimator.edge import AttitudeNodeParams
+from attitude_estimator.navigation.edge import NavigationNodeParams
 from inertial.imu_errors import PROFILES, apply_imu_errors
 from inertial.recording import ImuSeries, Recording
 from inertial.rotation import down_from_quaternion
@@ -160,12 +161,15 @@ def test_allan_writes_a_parameter_file_that_the_nodes_read(rest, tmp_path, capsy
     errors = PROFILES["adis16488a"].imu
     params = {kind: params_from_values(kind, load_parameter_file(tmp_path / "params.yaml", node,
                                                                  parameter_names(kind)))
-              for kind, node in ((AttitudeNodeParams, "attitude_node"), (AlignmentNodeParams, "alignment_node"))}
+              for kind, node in ((AttitudeNodeParams, "attitude_node"), (AlignmentNodeParams, "alignment_node"),
+                                 (NavigationNodeParams, "navigation_node"))}
     standing = params[AlignmentNodeParams]
     assert standing.gyro_noise_density == pytest.approx(errors.gyro_noise_density, rel=NOISE)
     assert standing.accel_noise_density == pytest.approx(errors.accel_noise_density, rel=NOISE)
     assert standing.gyro_bias_instability > 0.8 * errors.gyro_bias_instability
     moving, default = params[AttitudeNodeParams], AttitudeNodeParams()
+    assert vars(moving).items() & vars(params[NavigationNodeParams]).items() >= {
+        (name, getattr(moving, name)) for name in (*allan_cli._MOTION, "gyro_bias_std")}
     assert moving.gyro_noise_density == pytest.approx(
         np.hypot(default.gyro_noise_density, errors.gyro_noise_density), rel=NOISE)
     assert {name: getattr(default, name) for name in allan_cli._MOTION} == allan_cli._MOTION
@@ -184,7 +188,7 @@ def test_allan_speaks_json(rest, capsys):
 @pytest.mark.parametrize("arguments, reason", [
     (["--end", "20"], "20.0 s of IMU samples are too short"),
     (["--start", "100"], "too short"),
-    (["--topic", "imu:=/other"], "no topic /other; topics there: /imu/data_raw"),
+    (["--topic", "imu:=/other"], "no topic /other (sensor_msgs/msg/Imu is on /imu/data_raw); topics there"),
     (["--out", "none/params.yaml"], "No such file or directory")])
 def test_allan_says_in_one_line_what_is_wrong(rest, capsys, arguments, reason):
     with pytest.raises(SystemExit) as end:

@@ -90,7 +90,7 @@ def test_descriptors_carry_meaning_unit_and_range(node_with):
     assert noise.description == "White noise [rad/s]"
     assert noise.floating_point_range[0].to_value == 1.0
     assert node.describe_parameter("count").integer_range[0].to_value == 9
-    assert node.describe_parameter("latitude").additional_constraints == "-1.6 to 1.6; nan: unknown"
+    assert node.describe_parameter("latitude").additional_constraints == "-1.6 to 1.6; .nan: unknown"
     assert node.describe_parameter("method").read_only and not noise.read_only
 
 
@@ -166,7 +166,9 @@ def test_nested_names_take_dots(tmp_path):
 
 @pytest.mark.parametrize("text, reason", [
     ("nose: 1", "unknown parameter nose; did you mean noise?"), ("- 1", "expected a mapping"),
-    ("a: [", "cannot be read"), ("", "expected a mapping")])
+    ("a: [", "cannot be read"), ("", "expected a mapping"),
+    ("other:\n  ros__parameters: {noise: 1}", "nothing for filter in it, only for other"),
+    ("filter:\n  ros__parameters: 5", "ros__parameters = 5: expected parameter names")])
 def test_bad_parameter_files_are_told_in_one_line(tmp_path, text, reason):
     file = tmp_path / "params.yaml"
     file.write_text(text)
@@ -181,6 +183,6 @@ def test_the_table_has_a_row_for_each_parameter():
     rows = parameter_table(Params, "f.")
     assert len(rows) == 2 + len(parameter_names(Params))
     assert rows[2] == "| `f.noise` | 0.1 | rad/s | 0 to 1 | White noise |"
-    assert rows[3] == "| `f.latitude` | nan | rad | -1.6 to 1.6; nan: unknown | Latitude |"
+    assert rows[3] == "| `f.latitude` | .nan | rad | -1.6 to 1.6; .nan: unknown | Latitude |"
     assert rows[5] == "| `f.method` | fast | - | fast, slow | Method (at start only) |"
     assert rows[7] == "| `f.mounting` | [0, 0, 0] | rad | -3.2 to 3.2 | Roll, pitch, yaw |"
