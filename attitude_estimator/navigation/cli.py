@@ -1,13 +1,15 @@
 """navigate_bag: position, velocity and attitude of a recorded bag, by the same session as the node, without DDS.
 
 Messages are taken in recorded order, each aid at its stamp, so the output bag has what ``navigation_node`` would
-have published.
+have published; thousands of samples go through the kernels at once.
 """
 
 import argparse
 import time
 import warnings
 from collections import Counter
+
+import numpy as np
 
 from attitude_estimator.navigation.edge import (
     INPUTS,
@@ -28,6 +30,7 @@ from nav_ros.cli import (
 
 TRUTHS = ("truth", "true_odometry")
 """Keys of what is copied."""
+PART = 20_000  # samples that are estimated at once; more only takes memory
 
 
 def navigate_bag(path, out, params, topics, storage="mcap"):
@@ -54,23 +57,67 @@ def navigate_bag(path, out, params, topics, storage="mcap"):
     """
     counts = Counter(estimates=0)
     session = NavigationSession(params, lambda name, _text, _level: counts.update([name]))
-    output = NavigationOutput(session)
     with BagReader(path) as bag:
         inputs = _inputs(bag, params, topics)
         truths = {topics[key] for key in TRUTHS if topics[key] in bag.types}
         types = {f"/{topic}": kind for topic, kind in OUTPUT_TYPES.items()}
         types |= {topic: bag.types[topic] for topic in truths}
         with BagWriter(out, types, storage) as writer:
+            part = _Part(session, writer)
             for message in progress(bag.messages([*inputs, *truths]), bag.name):
                 if message.topic in truths:
-                    writer.write(*message)
-                elif session.take(inputs[message.topic], message.raw):
-                    counts["estimates"] += 1
-                    for topic, raw in output.messages():
-                        writer.write(f"/{topic}", message.receive_ns, raw)
+                    part.copy(message)
+                else:
+                    part.take(inputs[message.topic], message)
+            part.end()
+            counts["estimates"] = part.written
     if not counts["estimates"]:
         raise BagError(f"{path}: no usable IMU sample on {topics['imu']}")
     return session, {name: count for name, count in (session.faults | counts).items() if count}
+
+
+class _Part:
+    """Messages of a bag that are estimated at once and then written.
+
+    Parameters
+    ----------
+    session : NavigationSession
+    writer : nav_ros.bags.BagWriter
+    """
+
+    def __init__(self, session, writer):
+        self.written = 0  # estimates so far
+        self._session, self._writer = session, writer
+        self._output = NavigationOutput(session)
+        self._begin()
+
+    def _begin(self):
+        self._copied, self._receive_ns, self._frames = [], [], []
+        self._session.estimator.hold()
+
+    def copy(self, message):
+        """Write a message as it is."""
+        self._copied.append(message)
+
+    def take(self, name, message):
+        """Take a message on an input of the node."""
+        if name == "heading" or len(self._frames) >= PART:
+            self.end()  # the vehicle's heading is made the IMU's by the present estimate
+            self._begin()
+        if self._session.take(name, message.raw):
+            self._receive_ns.append(message.receive_ns)
+            self._frames.append(self._session.frame)
+
+    def end(self):
+        """Estimate and write what was taken."""
+        navigation, fresh = self._session.estimator.release()
+        receive_ns = np.array(self._receive_ns, np.int64)[fresh]
+        out = list(self._copied)
+        for topic, rows, raws in self._output.batch(navigation, np.array(self._frames, str)[fresh]):
+            out += zip([f"/{topic}"] * len(rows), receive_ns[rows].tolist(), raws, strict=True)
+        for topic, at_ns, raw in sorted(out, key=lambda message: message[1]):
+            self._writer.write(topic, at_ns, raw)
+        self.written += len(navigation)
 
 
 def _inputs(bag, params, topics):

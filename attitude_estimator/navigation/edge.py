@@ -333,16 +333,19 @@ class NavigationMessages:
         *_, base = euler_from_dcm(dcm_from_quaternion(self.mounting.attitude(estimate.q_nb_wxyz)))
         return heading + imu - base
 
-    def values(self, topic, estimate):
-        """Return the doubles of the message on a topic of :data:`OUTPUT_TYPES`."""
-        values = estimate.rows @ self._matrix[topic]
-        if topic == "imu/data" and not estimate.valid:
-            values[ORIENTATION] = [0.0, 0.0, 0.0, 1.0]
-            values[ORIENTATION_COVARIANCE] = [-1.0] + [0.0] * 8
+    def values(self, topic, estimates):
+        """Return the doubles of the message on a topic of :data:`OUTPUT_TYPES`, (..., D)."""
+        values = estimates.rows @ self._matrix[topic]
+        table, all_rows = np.atleast_2d(values), Navigation(None, np.atleast_2d(estimates.rows))
+        if topic == "imu/data":
+            unknown = ~all_rows.valid
+            if unknown.any():
+                table[unknown, ORIENTATION] = [0.0, 0.0, 0.0, 1.0]
+                table[unknown, ORIENTATION_COVARIANCE] = [-1.0] + [0.0] * 8
         elif topic == "odometry":
-            self._add_velocity(values, estimate)
-            for covariance in (values[POSE_COVARIANCE], values[TWIST_COVARIANCE]):
-                _cap(covariance.reshape(6, 6))
+            self._add_velocity(table, all_rows)
+            for part in (POSE_COVARIANCE, TWIST_COVARIANCE):
+                _cap(table[:, part].reshape(-1, 6, 6))
         return values
 
     def _imu(self, estimates):
@@ -367,16 +370,16 @@ class NavigationMessages:
             estimates.gyro_bias_variance)
         return values
 
-    def _add_velocity(self, values, estimate):
-        """Add the velocity in the vehicle's axes and its covariance to the values of an Odometry."""
-        velocity_n, dcm_nb = estimate.velocity_n, dcm_from_quaternion(self.mounting.attitude(estimate.q_nb_wxyz))
-        values[TWIST_LINEAR] = swap_flu_frd(velocity_n @ dcm_nb)
-        covariance = np.diag(np.full(3, UNKNOWN_VARIANCE))
-        if estimate.heading_known:
-            # v_b = C^T v; with C = (I + [theta x]) C_estimated its error is C^T (dv + v x theta).
-            J = dcm_nb.T @ np.hstack([skew(velocity_n), np.eye(3)])
-            covariance = swap_flu_frd_covariance(J @ estimate.covariance[:6, :6] @ J.T)
-        values[TWIST_COVARIANCE].reshape(6, 6)[:3, :3] = covariance
+    def _add_velocity(self, values, estimates):
+        """Add the velocity in the vehicle's axes and its covariance to the values of Odometry messages, (N, D)."""
+        velocity_n, dcm_nb = estimates.velocity_n, dcm_from_quaternion(self.mounting.attitude(estimates.q_nb_wxyz))
+        dcm_bn = np.swapaxes(dcm_nb, -1, -2)
+        values[:, TWIST_LINEAR] = swap_flu_frd((dcm_bn @ velocity_n[..., None])[..., 0])
+        # v_b = C^T v; with C = (I + [theta x]) C_estimated its error is C^T (dv + v x theta).
+        J = np.concatenate([dcm_bn @ skew(velocity_n), dcm_bn], axis=-1)
+        covariance = swap_flu_frd_covariance(J @ estimates.covariance[:, :6, :6] @ np.swapaxes(J, -1, -2))
+        covariance[~estimates.heading_known] = np.eye(3) * UNKNOWN_VARIANCE
+        values[:, TWIST_COVARIANCE].reshape(-1, 6, 6)[:, :3, :3] = covariance
 
 
 def _dcm_nb(orientation_xyzw):
@@ -394,11 +397,12 @@ def _pose_covariance(covariance_n):
 
 
 def _cap(covariance):
-    """Give what is as good as unknown UNKNOWN_VARIANCE and no correlation, in place."""
-    unknown = np.diagonal(covariance) >= UNKNOWN_VARIANCE
+    """Give what is as good as unknown of (N, n, n) UNKNOWN_VARIANCE and no correlation, in place."""
+    k = np.arange(covariance.shape[-1])
+    unknown = covariance[:, k, k] >= UNKNOWN_VARIANCE
     if unknown.any():
-        covariance[unknown, :] = covariance[:, unknown] = 0.0
-        covariance[unknown, unknown] = UNKNOWN_VARIANCE
+        covariance[unknown[:, :, None] | unknown[:, None, :]] = 0.0
+        covariance[:, k, k] += np.where(unknown, UNKNOWN_VARIANCE, 0.0)
 
 
 class NavigationOutput:
@@ -411,21 +415,42 @@ class NavigationOutput:
 
     def __init__(self, session):
         self._session = session
-        self._frame, self._encoders, self._slot = None, {}, None
+        self._frame, self._encoders, self._slot = None, {}, -1
 
     def messages(self, wanted=OUTPUT_TYPES):
         """Yield (topic, serialized message) of the newest estimate, of the topics that are wanted."""
         session = self._session
-        estimate, params = session.estimator.estimate, session.params
+        estimate = session.estimator.estimate
         if session.frame != self._frame:
             self._set_frame(session.frame)
-        rate = params.auxiliary_rate
-        slot = estimate.stamp_ns if rate == 0.0 else estimate.stamp_ns // round(1e9 / rate)
+        slot = self._slots(estimate.stamp_ns)
         auxiliary, self._slot = slot != self._slot, slot
         for topic in OUTPUT_TYPES:
             if topic == "imu/data" or (auxiliary and topic in wanted and (topic != "odometry" or estimate.valid)):
                 values = session.messages.values(topic, estimate)
                 yield topic, self._encoders[topic].encode(estimate.stamp_ns, values)
+
+    def batch(self, navigation, frames):
+        """Yield (topic, which estimates, their serialized messages); `frames` names the IMU's of each."""
+        slots = self._slots(navigation.stamp_ns)
+        auxiliary = np.diff(slots, prepend=self._slot) != 0
+        self._slot = slots[-1] if len(slots) else self._slot
+        for frame in np.unique(frames):
+            self._set_frame(str(frame))
+            for topic in OUTPUT_TYPES:
+                keep = np.asarray(frames) == frame
+                if topic != "imu/data":
+                    keep &= auxiliary
+                if topic == "odometry":
+                    keep &= navigation.valid
+                rows = np.flatnonzero(keep)
+                part = Navigation(navigation.stamp_ns[rows], navigation.rows[rows])
+                values = self._session.messages.values(topic, part)
+                yield topic, rows, self._encoders[topic].encode_batch(part.stamp_ns, values)
+
+    def _slots(self, stamp_ns):
+        rate = self._session.params.auxiliary_rate
+        return stamp_ns if rate == 0.0 else stamp_ns // round(1e9 / rate)
 
     def _set_frame(self, imu_frame):
         self._frame, params = imu_frame, self._session.params
