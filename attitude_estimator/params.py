@@ -14,8 +14,8 @@ ESTIMATORS = ("dcm_row", "dcm_row5", "dcm_row5_gamma", "euler_ukf", "euler_ukf_f
 
 
 @dataclass(frozen=True)
-class AttitudeParams:
-    """What the estimators assume of sensors, motion and place.
+class LevelParams:
+    """What the default estimator assumes of sensors, motion and place.
 
     Raises
     ------
@@ -87,13 +87,6 @@ class AttitudeParams:
     altitude_step_gate: float = parameter(
         6.25, "", "squared mean innovation above which the height reference moved", 1.0, 100.0)
 
-    complementary_frequency: float = parameter(
-        0.03, "rad/s", "complementary schemes: corner frequency, above which the gyro counts", 1e-4, 10.0)
-    levelling_gate: float = parameter(
-        0.5, "m/s^2", "accelerometer: how far the force's size may be off gravity", 0.0, 10.0)
-    norm_gain: float = parameter(
-        50.0, "1/s", "dcm_row5_gamma: the paper's k; must stay below the sample rate", 0.0, 1e4)
-
     gyro_range: float = parameter(
         100.0, "rad/s", "full scale of the gyro: beyond it a sample is refused, at it noise grows",
         0.1, 1e4)
@@ -123,3 +116,15 @@ class AttitudeParams:
         derived = {"local_gravity": self.local_gravity(), "earth_rate_down": self.earth_rate_down(),
                    "model": float(ESTIMATORS.index(self.estimator))}
         return np.array([derived[n] if n in derived else getattr(self, n) for n in names], dtype=float)
+
+
+@dataclass(frozen=True)
+class AttitudeParams(LevelParams):
+    """What any of the estimators assumes."""
+
+    complementary_frequency: float = parameter(
+        0.03, "rad/s", "complementary schemes: corner frequency, above which the gyro counts", 1e-4, 10.0)
+    levelling_gate: float = parameter(
+        0.5, "m/s^2", "accelerometer: how far the force's size may be off gravity", 0.0, 10.0)
+    norm_gain: float = parameter(
+        50.0, "1/s", "dcm_row5_gamma: the paper's k; must stay below the sample rate", 0.0, 1e4)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from attitude_estimator.params import AttitudeParams
+from attitude_estimator.params import AttitudeParams, LevelParams
 from inertial.parameters import parameter
 
 STEADY_GAIN_LIMIT = math.sqrt(6.0) - math.sqrt(2.0)
@@ -13,7 +13,7 @@ STEADY_GAIN_LIMIT = math.sqrt(6.0) - math.sqrt(2.0)
 
 
 @dataclass(frozen=True)
-class NavigationParams(AttitudeParams):
+class NavigationParams(LevelParams):
     """What the navigation filters assume of sensors, motion and place.
 
     Raises
@@ -71,7 +71,7 @@ class NavigationParams(AttitudeParams):
 
     def level_params(self):
         """Return the AttitudeParams of the estimator that levels the start."""
-        names = [field.name for field in fields(AttitudeParams) if field.name != "estimator"]
+        names = [field.name for field in fields(LevelParams) if field.name != "estimator"]
         return AttitudeParams(**{name: getattr(self, name) for name in names})
 
     def flat(self, names):
