@@ -27,8 +27,8 @@ from alignment.edge import (
 from alignment.views import open_view
 from nav_ros.diagnostics import Level, diagnostic_array
 from nav_ros.messages import (
-    GPS_FIX,
     IMU,
+    NO_FIX,
     UNKNOWN_VARIANCE,
     VECTOR,
     RefusedMessageError,
@@ -100,7 +100,7 @@ class AlignmentNode(SensorNode):
     def _take_fix(self, raw):
         stamp_ns, fix = decode_fix(raw)
         latitude = math.radians(fix.latitude_deg)
-        if fix.status < GPS_FIX or not abs(latitude) <= 0.5 * math.pi:
+        if fix.status == NO_FIX or not abs(latitude) <= 0.5 * math.pi:
             raise RefusedMessageError("no_fix", "no position in it", Level.WARN)
         if not (self._fixed_latitude or abs(latitude - self._session.params.latitude) <= self.params.latitude_std):
             self.get_logger().info(f"latitude {fix.latitude_deg:.5f} deg from fix")

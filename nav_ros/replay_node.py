@@ -178,13 +178,15 @@ class ReplayNode(Node):
             self._window = Window(self.params.in_flight)
             watch = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=2 * self.params.in_flight + 100,
                                reliability=ReliabilityPolicy.BEST_EFFORT)
-            self.create_subscription(Imu, self.params.lockstep_topic, self._answer, watch, raw=True)
+            self._answers = self.create_subscription(Imu, self.params.lockstep_topic, self._answer, watch, raw=True)
         self._published = Counter()
 
     def replay(self):
         """Publish everything; return the exit status."""
         if not self._wait_for_subscribers():
             return 1
+        if self._window:
+            self._wait_for_who_answers()
         if self.params.start_paused:
             self.get_logger().info("paused; call ~/start")
         start = None
@@ -274,6 +276,14 @@ class ReplayNode(Node):
             if now - told >= WAIT_TOLD:
                 self.get_logger().info(f"waiting for {wanted} subscriber(s) on {publisher.topic_name}")
                 told = now
+            time.sleep(0.01)
+
+    def _wait_for_who_answers(self):
+        end = time.monotonic() + self.params.lockstep_timeout
+        while not self._answers.handle.get_publisher_count():
+            if time.monotonic() > end:
+                self.get_logger().warning(f"nobody publishes {self._answers.topic_name}")
+                return
             time.sleep(0.01)
 
     def _wait_until_due(self, receive_ns):

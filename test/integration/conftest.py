@@ -4,7 +4,7 @@ import contextlib
 import os
 import subprocess
 import time
-from collections import defaultdict
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,9 @@ import rclpy  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import Imu  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
+from nav_ros.bags import BagReader, BagWriter  # noqa: E402
 from nav_ros.demo import free_domain  # noqa: E402
 from nav_ros.messages import ACCEL, GYRO, IMU, StampedEncoder  # noqa: E402
 from nav_ros.resources import executable  # noqa: E402
@@ -37,11 +39,7 @@ BURST = 50
 
 
 def wait_until(condition, what="a condition", limit=LIMIT, meanwhile=lambda: None):
-    """Return the first true value of a function; fail when it does not come.
-
-    What is published `meanwhile` arrives sooner or later: a publisher is told of a match before the
-    subscriber is, and a best-effort subscriber misses what is sent in between.
-    """
+    """Return the first true value of a function, which is called until then; fail when it does not come."""
     end = time.monotonic() + limit
     while not (value := condition()):
         assert time.monotonic() < end, f"waited in vain for {what}"
@@ -55,6 +53,16 @@ def own_domain():
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     return free_domain(range(1 + worker, 101, workers))
+
+
+def values_of(status):
+    """Return the values of a DiagnosticStatus, key -> text."""
+    return {entry.key: entry.value for entry in status.values}
+
+
+def publishers_key(topic):
+    """Return the key under which a node tells how many publishers a sensor's topic has."""
+    return f"{topic.partition('/')[0]}_publishers"
 
 
 class Program:
@@ -87,31 +95,54 @@ class Program:
 
 
 class Peer:
-    """A node in this process, with a thread of its own that serves it."""
+    """A node in this process, with a thread of its own that serves it.
 
-    def __init__(self, domain, namespace=""):
+    Of two that are matched one knows it before the other does, and what is sent in between is lost. So here all wait
+    until a node, too, has told in its diagnostics how many it is matched with.
+    """
+
+    def __init__(self, domain, matches, namespace=""):
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=domain)
         self.node = rclpy.create_node("peer", context=self._context, namespace=namespace)
+        self._matches = matches
         self._cleanup = contextlib.ExitStack()
         self._cleanup.callback(rclpy.try_shutdown, context=self._context)
         self._cleanup.callback(self.node.destroy_node)
+        self.arrays = []
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self.arrays.append, DEPTH)
         self._cleanup.enter_context(served(self.node))
 
-    def hear(self, kind, topic, *, raw=True, reliability=ReliabilityPolicy.RELIABLE, matched=True):
-        """Return a list that fills with the messages of a topic, once a publisher is there."""
+    def hear(self, kind, topic, *, raw=True, nodes=1):
+        """Return a list that fills with the messages of a topic of so many nodes."""
         heard = []
-        subscription = self.node.create_subscription(
-            kind, topic, heard.append, QoSProfile(depth=DEPTH, reliability=reliability), raw=raw)
-        if matched:
-            wait_until(lambda: subscription.handle.get_publisher_count(), f"a publisher of {topic}")
+        with self._matched(f"{topic}_subscribers", nodes):
+            self.node.create_subscription(kind, topic, heard.append, DEPTH, raw=raw)
         return heard
 
-    def publisher(self, kind, topic, reliability=ReliabilityPolicy.RELIABLE):
-        """Return a publisher, once a subscriber is there."""
-        publisher = self.node.create_publisher(kind, topic, QoSProfile(depth=DEPTH, reliability=reliability))
-        wait_until(publisher.get_subscription_count, f"a subscriber of {topic}")
-        return publisher
+    def publisher(self, kind, topic, reliability=ReliabilityPolicy.RELIABLE, nodes=1):
+        """Return a publisher of a sensor's messages that reach so many nodes."""
+        with self._matched(publishers_key(topic), nodes):
+            return self.node.create_publisher(kind, topic, QoSProfile(depth=DEPTH, reliability=reliability))
+
+    @contextlib.contextmanager
+    def _matched(self, key, nodes):
+        """Wait until one more peer has been matched, that of the block."""
+        self.wait_matched({key: self._matches[key]}, nodes)  # those of programs that have ended are forgotten
+        yield
+        self._matches[key] += 1
+        self.wait_matched({key: self._matches[key]}, nodes)
+
+    def wait_matched(self, counts, nodes):
+        """Wait until so many nodes, and no others otherwise, tell these numbers of peers."""
+        def told():
+            last = {array.status[0].name: values_of(array.status[0]) for array in list(self.arrays)}
+            for key, count in counts.items():
+                values = [report[key] for report in last.values() if key in report]
+                if len(values) < nodes or set(values) - {str(count)}:
+                    return False
+            return True
+        wait_until(told, f"peers: {counts}")
 
     def call(self, kind, name, **fields):
         """Return the response of a service."""
@@ -128,9 +159,9 @@ class Peer:
 class Feed:
     """IMU samples at rest, from this process, stamped at an even rate up to now."""
 
-    def __init__(self, peer, roll=0.0, pitch=0.0, rate=200, reliability=ReliabilityPolicy.RELIABLE):
-        self.publisher = peer.publisher(Imu, "imu/data_raw", reliability)
-        self.answers = peer.hear(Imu, "imu/data")
+    def __init__(self, peer, roll=0.0, pitch=0.0, rate=200, reliability=ReliabilityPolicy.RELIABLE, nodes=1):
+        self.publisher = peer.publisher(Imu, "imu/data_raw", reliability, nodes)
+        self.answers = peer.hear(Imu, "imu/data", nodes=nodes)
         self.period_ns = 10**9 // rate
         self.stamp_ns = 0
         self._encoder = StampedEncoder(IMU, "imu_link")
@@ -171,11 +202,12 @@ class Feed:
 
 
 class Diagnostics:
-    """What a node has reported on /diagnostics."""
+    """What a node has reported on /diagnostics, each report looked at once."""
 
     def __init__(self, peer, name="attitude_node", what="attitude"):
         self._name = f"{name}: {what}"
-        self._arrays = peer.hear(DiagnosticArray, "/diagnostics", raw=False)
+        self._arrays = peer.arrays
+        self._looked_at = 0
 
     @property
     def reports(self):
@@ -183,34 +215,36 @@ class Diagnostics:
         return [(array.header.stamp.sec + array.header.stamp.nanosec * 1e-9, array.status[0])
                 for array in list(self._arrays) if array.status[0].name == self._name]
 
-    def wait_for(self, condition, what, **options):
-        """Return the first report from now on that fulfils a condition."""
-        seen = len(self.reports)
-        return wait_until(lambda: next((status for _, status in self.reports[seen:] if condition(status)),
-                                       None), what, **options)
+    def wait_for(self, condition, what, since=0.0, **options):
+        """Return the next report that fulfils a condition."""
+        def found():
+            for stamp, status in self.reports[self._looked_at:]:
+                self._looked_at += 1
+                if stamp >= since and condition(status):
+                    return status
+            return None
+        return wait_until(found, what, **options)
 
     def told(self, text, **options):
-        """Return the first report from now on with some text in its message."""
+        """Return the next report with some text in its message."""
         return self.wait_for(lambda status: text in status.message, repr(text), **options)
 
     def next(self):
-        """Return the first report that is made wholly from now on."""
-        seen = len(self.reports)
-        wait_until(lambda: len(self.reports) > seen + 1, "two reports")
-        return self.reports[seen + 1][1]
+        """Return the first report that is made from now on."""
+        return self.wait_for(lambda _: True, "a report", since=time.time())
 
 
 class Bench:
     """What a test starts, and ends with it."""
 
-    wait_until = staticmethod(wait_until)
+    wait_until, values_of = staticmethod(wait_until), staticmethod(values_of)
     feed, diagnostics = Feed, Diagnostics
 
     def __init__(self, folder):
         self.domain = own_domain()
         self._folder = folder
         self._cleanup = contextlib.ExitStack()
-        self._starts = defaultdict(int)
+        self._starts, self._matches = Counter(), Counter()
 
     def start(self, name, *arguments):
         """Start an installed program with ROS arguments."""
@@ -227,15 +261,25 @@ class Bench:
         node.wait_for("]: ready", COMPILE_LIMIT)
         return node
 
-    def replay(self, bag, *parameters, remaps=()):
-        """Play a bag in lock-step with imu/data to its end."""
-        given = [f"bag:={bag}", "rate:=0.0", "lockstep_topic:=imu/data",
-                 f"lockstep_timeout:={LIMIT}", *parameters]
+    def play(self, peer, bag, *parameters, remaps=(), answers="imu/data"):
+        """Begin to play a bag in lock-step, once it is matched with what it is for."""
+        given = [f"bag:={bag}", "rate:=0.0", f"lockstep_topic:={answers}", f"lockstep_timeout:={LIMIT}",
+                 "start_paused:=true", *parameters]
         replay = self.start("replay_node", *(item for text in given for item in ("-p", text)), *remaps)
+        replay.wait_for("paused")
+        with BagReader(bag) as reader:
+            keys = {f"{answers}_subscribers", *(publishers_key(topic.lstrip("/")) for topic in reader.types)}
+        peer.wait_matched({key: self._matches[key] + 1 for key in keys}, 0)
+        peer.call(Trigger, "replay_node/start")
+        return replay
+
+    def replay(self, peer, bag, *parameters, **options):
+        """Play a bag in lock-step with imu/data to its end."""
+        replay = self.play(peer, bag, *parameters, **options)
         assert replay.finish() == 0 and "not answered" not in replay.said, replay.said
 
     def peer(self, namespace=""):
-        peer = Peer(self.domain, namespace)
+        peer = Peer(self.domain, self._matches, namespace)
         self._cleanup.callback(peer.close)
         return peer
 
@@ -280,7 +324,6 @@ def turn_bag(tmp_path_factory):
 @pytest.fixture(scope="session")
 def real_bag(repository, tmp_path_factory):
     """Return a bag of the first seconds of a real recording; skip where there is none."""
-    from nav_ros.bags import BagReader, BagWriter
     source = Path(os.environ.get("REAL_BAGS", repository.parent / "shared" / "bags")) / REAL_RECORDING
     if not source.is_dir():
         pytest.skip(f"no recording {REAL_RECORDING} in ../shared/bags or REAL_BAGS")

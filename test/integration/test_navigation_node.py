@@ -88,8 +88,7 @@ def test_the_node_and_navigate_bag_publish_the_same(open_node, flight_bag, navig
     peer = bench.peer()
     diagnostics = bench.diagnostics(peer, "navigation_node", "navigation")
     heard = {topic: peer.hear(kind, topic) for topic, kind in TYPES.items()}
-    diagnostics.next()  # by then the node has noticed who listens
-    bench.replay(flight_bag, "in_flight:=1")
+    bench.replay(peer, flight_bag, "in_flight:=1")
     for topic, raws in heard.items():
         offline = raws_on(navigated, f"/{topic}")
         bench.wait_until(lambda raws=raws, offline=offline: len(raws) >= len(offline), f"all of {topic}")
