@@ -14,6 +14,7 @@ import numpy as np
 
 from alignment.results import (
     LARGEST_SCALE_ERROR,
+    LARGEST_STD,
     SINGULAR_SENSITIVITY,
     WEAK_SENSITIVITY,
     HeadingResult,
@@ -96,6 +97,7 @@ def find_azimuth(method, rate, roll, pitch, latitude, *, angle=0.0, rate_covaria
         variance = _heading_variance(method, inputs, angle, branches[..., 0], covariance)
         quality = _quality(method, inputs, angle, branches, scale, hint)
         quality |= Quality.SHARED_CHANNEL.value if shared_channel else 0
+        quality |= np.where(variance > LARGEST_STD ** 2, Quality.AMBIGUOUS.value, 0)
         blind = quality & Quality.SINGULAR.value != 0
     return HeadingResult(np.where(blind, np.nan, branches[..., 0]), np.where(blind, np.nan, variance),
                          branches, bias * EARTH_RATE, scale, quality, latitude=found_latitude)

@@ -14,6 +14,7 @@ from alignment.errors import UnobservableError
 from alignment.harmonic import Y_TO_PLANE
 from alignment.results import (
     LARGEST_SCALE_ERROR,
+    LARGEST_STD,
     SINGULAR_SENSITIVITY,
     WEAK_SENSITIVITY,
     HeadingResult,
@@ -98,7 +99,7 @@ def _result(out, bias, scatter, covariance, level, latitude, priors):
     blind = ~(reach >= SINGULAR_SENSITIVITY)
     quality = np.where(reach < WEAK_SENSITIVITY, Quality.WEAK.value, 0)
     quality = np.where(blind, Quality.SINGULAR.value, quality)
-    ambiguous = gap < MODE_GAP
+    ambiguous = (gap < MODE_GAP) | (variance > LARGEST_STD ** 2)
     quality |= np.where(ambiguous, Quality.AMBIGUOUS.value, 0)
     scale_std = np.sqrt(np.trace(covariance[0]) + priors.scale_std ** 2)
     wrong_scale = np.abs(scale - 1) > LARGEST_SCALE_ERROR + _MISFIT_LIMIT * scale_std

@@ -39,7 +39,9 @@ def explain_heading(north, level, latitude, one_way=False):
     if flags & Quality.SINGULAR:
         reasons.append("this geometry carries no information about the heading")
     if flags & Quality.AMBIGUOUS:
-        reasons.append(f"another heading fits as well ({math.degrees(float(north.branches[1])) % 360:.1f} deg): go on")
+        other = math.degrees(float(north.branches[1])) % 360 if len(north.branches) > 1 else math.nan
+        reasons.append(f"another heading fits as well ({other:.1f} deg): go on" if math.isfinite(other) else
+                       f"sigma is {math.degrees(float(north.std)):.3g} deg: go on")
     if flags & Quality.SCALE:
         reasons.append(f"the gyros read {explain_scale(float(north.scale))}")
     elif flags & Quality.INCONSISTENT:

@@ -12,6 +12,8 @@ import numpy as np
 SINGULAR_SENSITIVITY = 1e-3
 WEAK_SENSITIVITY = 0.17  # cos of 80 deg
 LARGEST_SCALE_ERROR = 0.05
+# Deviation of a heading, rad, beyond which its first order is none and distant headings do as well.
+LARGEST_STD = 0.5
 
 
 class Quality(enum.Flag):

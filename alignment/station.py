@@ -204,7 +204,8 @@ class TableAlignment:
             return order[count % len(order)]
         result = self.result()
         north = result.north
-        ambiguous = north is not None and north.flags & UNBELIEVABLE == Quality.AMBIGUOUS
+        ambiguous = north is not None and north.flags & UNBELIEVABLE == Quality.AMBIGUOUS \
+            and np.isfinite(north.branches).all()
         if not (result.believable or ambiguous):
             return sequences.PALINDROME[count % len(sequences.PALINDROME)]
         attitude = float(result.level.roll), float(result.level.pitch)

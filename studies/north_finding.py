@@ -43,8 +43,8 @@ METHOD_2_ANGLE_DEG = 90.0  # the paper does not say which
 # A figure is reproduced when it is as near as the paper's own rounding and noise leave it.
 LEVEL_TOLERANCE_DEG = 0.0011
 HEADING_TOLERANCE_DEG = 0.0003
-# Part of the time after which an ambiguous heading is looked at again.
-ROUND_SHARE = 0.05
+# Parts of the time after which the refined sequence solves again: two headings fit, or one does.
+TELLING_SHARE, FINE_SHARE = 0.03, 0.25
 LARGEST_RATIO = 1.10
 
 
@@ -82,7 +82,7 @@ def main(argv=None):
     plots.mkdir(parents=True, exist_ok=True)
     sections = [
         heading_lines(arguments.trials), paper_section(plots), conclusions_section(arguments.trials),
-        efficiency_section(arguments.trials), branch_section(), time_section(plots), effects_section(),
+        efficiency_section(arguments.trials, plots), branch_section(), time_section(plots), effects_section(),
         cost_section()]
     text = "\n\n".join("\n".join(section) for section in sections) + "\n"
     (arguments.out / "north_finding.md").write_text(text, encoding="utf-8")
@@ -133,9 +133,8 @@ def paper_section(plots):
     headings = paper_headings(readings, stand, PAPER_GYRO)
     lines += heading_tables(headings, readings, stand)
     draw_paper_figures(plots, levels, headings)
-    lines += ["", "Figures 1 to 5, errors in per cent as the paper draws them:", ""]
-    lines += [f"![figure {number}](north_finding/figure_{number}.png)" for number in range(1, 6)]
-    return lines
+    return [*lines, "", "Figures 1 to 5, the errors of these tables in per cent as the paper draws them:", "",
+            "![figures 1 to 5](north_finding/paper_figures.png)"]
 
 
 def noise_needed():
@@ -259,45 +258,49 @@ def heading_tables(headings, readings, stand):
 
 
 def draw_paper_figures(plots, levels, headings):
-    """Draw the five bar charts of the paper, its values beside ours."""
-    level_names = list(PRINTED_LEVELS)
-    for number, (name, axis) in enumerate((("roll", 0), ("pitch", 1)), start=1):
-        truth = PAPER_DEG[axis]
-        draw_bars(plots / f"figure_{number}.png", f"Figure {number}: {name} error, %", level_names,
-                  [abs(PRINTED_LEVELS[m][axis] / truth - 1) * 100 for m in level_names],
-                  [abs(np.degrees(getattr(levels[m], name)) / truth - 1) * 100 for m in level_names])
-    names = list(PRINTED_HEADINGS)
-    draw_bars(plots / "figure_3.png", "Figure 3: heading error, %", [n[8:] for n in names],
-              [abs(PRINTED_HEADINGS[n] / 88 - 1) * 100 for n in names],
-              [abs(np.degrees(headings[n].heading) / 88 - 1) * 100 for n in names])
-    true_bias = PAPER_GYRO.bias[0]
-    draw_bars(plots / "figure_4.png", "Figure 4: bias error, %", ["accelerometer (5)", "gyro (4)"],
-              [abs(PRINTED_ACCEL_BIAS - 100), abs(PRINTED_GYRO_BIAS / true_bias - 1) * 100],
-              [abs(levels["5"].bias / STANDARD_GRAVITY * 1e6 - 100),
-               abs(headings["azimuth_4"].bias / true_bias - 1) * 100])
-    names = list(PRINTED_SCALES)
-    draw_bars(plots / "figure_5.png", "Figure 5: scale factor error, %",
-              ["accelerometer (5)", *("gyro (" + n[8:] + ")" for n in names)],
-              [abs(PRINTED_ACCEL_SCALE - 1.00005) * 100,
-               *(abs(PRINTED_SCALES[n] - 1.00002) * 100 for n in names)],
-              [abs(levels["5"].scale - 1.00005) * 100,
-               *(abs(headings[n].scale - 1.00002) * 100 for n in names)])
-
-
-def draw_bars(path, title, names, printed, ours):
-    """Draw the paper's values and ours side by side."""
+    """Draw the five charts of the paper as panels, its values beside ours."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6, 3), layout="constrained")
-    axes = figure.subplots()
-    place = np.arange(len(names))
-    axes.bar(place - 0.2, printed, 0.4, label="paper", color="0.6")
-    axes.bar(place + 0.2, ours, 0.4, label="here", color="C0")
-    axes.set_xticks(place, names)
-    axes.set_title(title)
-    axes.set_yscale("log")
-    axes.legend()
-    figure.savefig(path, dpi=100, metadata={"Software": None})
+    figure = Figure(figsize=(11, 6), layout="constrained")
+    panels = figure.subplots(2, 3).ravel()
+    names = list(PRINTED_LEVELS)
+    for number, (name, axis) in enumerate((("roll", 0), ("pitch", 1))):
+        truth = PAPER_DEG[axis]
+        draw_pairs(panels[number], f"Figure {number + 1}: {name}", [f"levelling {m}" for m in names],
+                   [PRINTED_LEVELS[m][axis] / truth for m in names],
+                   [np.degrees(getattr(levels[m], name)) / truth for m in names])
+    names = list(PRINTED_HEADINGS)
+    draw_pairs(panels[2], "Figure 3: heading", [n.replace("_", " ") for n in names],
+               [PRINTED_HEADINGS[n] / PAPER_DEG[2] for n in names],
+               [np.degrees(headings[n].heading) / PAPER_DEG[2] for n in names])
+    true_bias = PAPER_GYRO.bias[0]
+    draw_pairs(panels[3], "Figure 4: bias", ["accelerometer (5)", "gyro (4)"],
+               [PRINTED_ACCEL_BIAS / 100, PRINTED_GYRO_BIAS / true_bias],
+               [levels["5"].bias / STANDARD_GRAVITY * 1e4, headings["azimuth_4"].bias / true_bias])
+    names = list(PRINTED_SCALES)
+    draw_pairs(panels[4], "Figure 5: scale factor", ["accelerometer (5)", *(f"gyro ({n[8:]})" for n in names)],
+               [PRINTED_ACCEL_SCALE / 1.00005, *(PRINTED_SCALES[n] / 1.00002 for n in names)],
+               [levels["5"].scale / 1.00005, *(headings[n].scale / 1.00002 for n in names)])
+    panels[5].axis("off")
+    panels[5].legend(*panels[0].get_legend_handles_labels(), loc="upper left", frameon=False, fontsize=11)
+    figure.savefig(plots / "paper_figures.png", dpi=110, metadata={"Software": None})
+
+
+def draw_pairs(axes, title, names, printed, ours):
+    """Draw the errors of the paper's values and of ours, each over the truth, in per cent."""
+    place = np.arange(len(names))[::-1]
+    printed, ours = (np.abs(np.asarray(values, dtype=float) - 1) * 100 for values in (printed, ours))
+    axes.hlines(place, printed, ours, color="0.8", zorder=1)
+    axes.plot(printed, place, "s", color="0.45", markersize=7, label="printed in the paper")
+    axes.plot(ours, place, "o", color="C0", markersize=7, label="the same equations here")
+    axes.set_xscale("log")
+    axes.set_yticks(place, names)
+    axes.set_ylim(-0.6, len(names) - 0.4)
+    axes.set_title(title, loc="left", fontsize=11)
+    axes.set_xlabel("error, %")
+    axes.grid(True, axis="x", alpha=0.3)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
 
 
 # --- the paper's conclusions --------------------------------------------------------------------------
@@ -403,19 +406,19 @@ def maximum_angle_error():
 # --- efficiency ---------------------------------------------------------------------------------------
 
 
-def efficiency_section(trials):
+def efficiency_section(trials, plots):
     """Return every method's error against the bound, and the joint estimator's."""
     total = 600.0
     header = ("grade", "roll, pitch, heading, latitude, deg", "bound, deg",
               *(name[8:] for name in azimuth.METHODS), "joint, 4 positions", "joint, refined", "limit",
               "mean z^2", "refused")
-    rows, missed = [], []
+    rows, missed, ratios = [], [], []
     for grade in GRADES[:2]:
         for index, attitude in enumerate(ATTITUDES_DEG):
             rng = np.random.default_rng([SEED, 2, index])
             reach = bounds.sensitivity(*np.radians(attitude))
             bound = bounds.heading_bound(grade.noise_density, total, reach)
-            methods = [ratio_text(method_errors(name, attitude, grade, total, trials, rng), bound)
+            methods = [ratio_of(method_errors(name, attitude, grade, total, trials, rng), bound)
                        for name in azimuth.METHODS]
             four, _ = joint_errors(attitude, grade, total, trials, rng)
             refined, normalised = refined_errors(attitude, grade, total, trials, rng)
@@ -424,9 +427,12 @@ def efficiency_section(trials):
             if ratio > LARGEST_RATIO:
                 missed.append(f"{grade.name} at {attitude}: {ratio:.3f}")
             square = np.mean(normalised[believed] ** 2)
-            rows.append((grade.name, ", ".join(map(str, attitude)), f"{np.degrees(bound):.4f}", *methods,
+            rows.append((grade.name, ", ".join(map(str, attitude)), f"{np.degrees(bound):.4f}",
+                         *(f"{value:.2f}" if np.isfinite(value) else "-" for value in methods),
                          f"{rms(four) / bound:.2f}", f"{ratio:.3f}", f"{LARGEST_RATIO:.2f}", f"{square:.3f}",
                          f"{100 * np.mean(~believed):.2f} %"))
+            ratios.append([*methods, rms(four) / bound, ratio])
+    draw_efficiency(plots / "efficiency.png", np.array(ratios))
     perturbed = [perturbed_squares(attitude, trials * 4, np.random.default_rng([SEED, 3, i]))
                  for i, attitude in enumerate(ATTITUDES_DEG)]
     return [
@@ -436,7 +442,9 @@ def efficiency_section(trials):
         "best angle, azimuth 6 tips the sensor. A dash: blind, or more than one trial in a hundred "
         "without a solution. The joint estimator with four positions is held to sqrt(2) by their "
         "geometry; refined, a quarter of the time goes there and the rest to the two best angles (east "
-        "and west when level). Refused: flagged as ambiguous, so that no heading would be published.",
+        "and west when level), but while two headings fit to where these differ most. Refused: flagged as "
+        "ambiguous, so that no heading would be published.", "",
+        "![efficiency](north_finding/efficiency.png)",
         *table(header, rows), "",
         "Refined beyond the limit: " + ("; ".join(missed) or "none") + ".", "",
         "With level, latitude, table zero, scale factor and skew all perturbed by their priors, "
@@ -449,10 +457,38 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def ratio_text(errors, bound):
-    """Return an RMS over the bound, or a dash where a method often has no solution."""
+def ratio_of(errors, bound):
+    """Return an RMS over the bound, NaN where a method often has no solution."""
     good = np.isfinite(errors)
-    return f"{rms(errors[good]) / bound:.2f}" if good.mean() > 0.99 else "-"
+    return rms(errors[good]) / bound if good.mean() > 0.99 else np.nan
+
+
+def draw_efficiency(path, ratios):
+    """Draw every method's ratios over grades and attitudes, (rows, methods); the blind ones on top."""
+    from matplotlib.figure import Figure
+
+    names = [*(name[8:] for name in azimuth.METHODS), "joint,\n4 positions", "joint,\nrefined"]
+    top = 40.0
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    axes = figure.subplots()
+    for place, column in enumerate(ratios.T):
+        blind = ~np.isfinite(column)
+        spread = place + np.linspace(-0.25, 0.25, len(column))
+        color = "C3" if place >= len(azimuth.METHODS) else "C0"
+        axes.plot(spread[~blind], column[~blind], "o", color=color, markersize=5)
+        axes.plot(spread[blind], np.full(blind.sum(), top), "x", color="0.4", markersize=6)
+    axes.axhline(1.0, color="0.3", linewidth=1)
+    axes.set_yscale("log")
+    axes.set_yticks([1, 1.5, 2, 3, 5, 10, 20, top], ["1", "1.5", "2", "3", "5", "10", "20", "blind"])
+    axes.minorticks_off()
+    axes.set_xticks(range(len(names)), names)
+    axes.set_xlabel("azimuth method")
+    axes.set_ylabel("heading RMS / best bound")
+    axes.set_title("A closed form is good at some attitudes, the joint estimator at all", loc="left", fontsize=11)
+    axes.grid(True, axis="y", alpha=0.3)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    figure.savefig(path, dpi=120, metadata={"Software": None})
 
 
 def method_errors(name, attitude_deg, grade, total, trials, rng):
@@ -499,11 +535,7 @@ def joint_errors(attitude_deg, grade, total, trials, rng):
 
 
 def refined_errors(attitude_deg, grade, total, trials, rng):
-    """Return errors and normalised errors when the two best angles follow a coarse solution.
-
-    While the coarse heading may not be believed the four positions go on, as in the node; NaN where the last
-    one may not be either.
-    """
+    """Return errors and normalised errors of the refined sequence; NaN where the heading may not be believed."""
     errors, normalised = np.empty(trials), np.empty(trials)
     for trial in range(trials):
         result = refined_result(attitude_deg, grade, total, rng)
@@ -514,7 +546,11 @@ def refined_errors(attitude_deg, grade, total, trials, rng):
 
 
 def refined_result(attitude_deg, grade, total, rng):
-    """Return the joint estimator's result of one run of the refined sequence."""
+    """Return the joint estimator's result of one run of the refined sequence, as the node follows it.
+
+    After the coarse part the table looks where two headings that both fit differ most, until one does, and
+    otherwise at the two best angles.
+    """
     roll, pitch, _, latitude = np.radians(attitude_deg)
     schedule = sequences.single_pass(sequences.COARSE_SHARE * total)
     rates = noisy_x_rates(attitude_deg, schedule, grade, rng)
@@ -523,12 +559,12 @@ def refined_result(attitude_deg, grade, total, rng):
         used = schedule.end[-1]
         if used > 0.999 * total:
             return result
-        if result.flags & UNBELIEVABLE:
-            angles, share = sequences.FOUR_POSITIONS, min(ROUND_SHARE * total, total - used)
+        if result.flags & UNBELIEVABLE and np.isfinite(result.branches).all():
+            angle, share = bounds.telling_angle(roll, pitch, *map(float, result.branches)), TELLING_SHARE
         else:
-            best = bounds.best_angle(roll, pitch, float(result.heading), latitude)
-            angles, share = (best, best + np.pi), total - used
-        more = sequences.indexed_schedule(angles, share / len(angles), start=used)
+            angle, share = bounds.best_angle(roll, pitch, float(result.heading), latitude), FINE_SHARE
+        share = min(share * total, total - used)
+        more = sequences.indexed_schedule((angle, angle + np.pi), 0.5 * share, start=used)
         schedule = sequences.joined(schedule, more)
         rates = np.concatenate([rates, noisy_x_rates(attitude_deg, more, grade, rng)])
 
@@ -645,22 +681,30 @@ def draw_time(path):
     """Draw the predicted deviation against time for each grade."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    figure = Figure(figsize=(8, 5), layout="constrained")
     axes = figure.subplots()
-    times = np.geomspace(60, 7200, 25)
+    # Whole rounds of the palindrome.
+    times = 120.0 * np.unique(np.geomspace(1, 60, 16).round())
     for index, grade in enumerate(GRADES):
-        for make, style, words in ((sequences.palindrome, "-", "palindrome"),
-                                   (sequences.single_pass, "--", "one slow pass")):
-            deviations = [predicted_deg(grade, make(total)) for total in times]
-            axes.loglog(times, deviations, style, color=f"C{index}",
-                        label=f"{grade.name}, {words}")
+        color = f"C{index}"
         white = bounds.heading_bound(grade.noise_density, times, np.cos(35 * DEG), uniform=True)
-        axes.loglog(times, np.degrees(white), ":", color=f"C{index}")
-    axes.set_xlabel("time, s")
-    axes.set_ylabel("heading deviation, deg (dotted: white noise alone)")
-    axes.grid(True, which="both", alpha=0.3)
-    axes.legend(fontsize=8)
-    figure.savefig(path, dpi=100, metadata={"Software": None})
+        turned = [predicted_deg(grade, sequences.palindrome(total)) for total in times]
+        slow = [predicted_deg(grade, sequences.single_pass(total)) for total in times]
+        axes.loglog(times, turned, "-", color=color, linewidth=2, label="palindrome, 15 s each" if not index else None)
+        axes.loglog(times, slow, "--", color=color, label="one slow pass" if not index else None)
+        axes.loglog(times, np.degrees(white), ":", color=color, label="white noise alone" if not index else None)
+        axes.text(times[-1] * 1.05, slow[-1], grade.name, color=color, va="center")
+    axes.set_xticks([120, 300, 600, 1800, 3600, 7200], ["2 min", "5 min", "10 min", "30 min", "1 h", "2 h"])
+    axes.set_yticks([0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30], ["0.01", "0.03", "0.1", "0.3", "1", "3", "10", "30"])
+    axes.minorticks_off()
+    axes.set_xlim(right=times[-1] * 2)
+    axes.set_ylabel("heading deviation, deg")
+    axes.set_title("Coming back to each angle beats waiting at it", loc="left", fontsize=11)
+    axes.grid(True, alpha=0.3)
+    axes.legend(frameon=False, labelcolor="0.2")
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    figure.savefig(path, dpi=120, metadata={"Software": None})
 
 
 # --- error effects ------------------------------------------------------------------------------------
@@ -749,20 +793,20 @@ def cost_section():
         fit = fit_harmonic(long.angle, readings, robust=True)
         return find_north(fit, None, [50 * DEG, 30 * DEG], NO_TILT, 35 * DEG, TIGHT)
     single = best_time(solve_long)
-    return ["## Cost", "", "Best of three on the machine that made this page.", *table(
-        ("what", "s", "limit, s"),
+    return ["## Cost", "", "Best of three on the machine that made this page, CPU time.", *table(
+        ("what", "CPU s", "limit, s"),
         [("10 000 Monte-Carlo solves", f"{many:.2f}", "1"),
          ("one robust solve over 360 000 readings with 5 % outliers", f"{single:.3f}", "0.2")])]
 
 
 def best_time(action):
-    """Return the shortest of three durations, s, after one to warm up."""
+    """Return the least CPU time of three runs, s, after one to warm up."""
     action()
     durations = []
     for _ in range(3):
-        start = time.perf_counter()
+        start = time.process_time()
         action()
-        durations.append(time.perf_counter() - start)
+        durations.append(time.process_time() - start)
     return min(durations)
 
 
