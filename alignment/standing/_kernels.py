@@ -40,9 +40,9 @@ CONSTANT_NAMES = (
 # Quality of a filter, kept beside the mean.
 (Q_TIME, Q_SINCE_UPDATE, Q_SINCE_FEEDBACK, Q_SINCE_GAIN, Q_SCALE, Q_NIS, Q_BLOCK, Q_BLOCK_VAR, Q_BLOCK_COUNT,
  Q_REJECTED, Q_ACCEPTED, Q_MOVING, Q_TURN, Q_EAST, Q_COST, Q_ALARM, Q_STARTED, Q_SWING, Q_REFERENCE,
- Q_TURNED, Q_RATE, Q_SIZE) = (
+ Q_TURNED, Q_RATE, Q_MISFIT, Q_SIZE) = (
     0, 1, 2, 3, 4, 5, 6, 9, 12, 13, 14, 15, 16, 17, 20, 21, 22, 23, 24,
-    27, 28, 31)
+    27, 28, 31, 32)
 
 # A row of output: quaternion, upper triangle of the covariance of the small rotation in navigation axes, velocity,
 # biases, their variances, normalised innovation squared, IPA cost J*.
@@ -141,7 +141,7 @@ def _carry(P, F, n, scratch):
 
 @njit(cache=True, error_model="numpy")
 def _update(P, h, n, z, variance, gain, delta):
-    """Scalar Kalman update with row h: add the correction to delta, shrink P.
+    """Scalar Kalman update with row h: add the correction to delta, shrink P; return -log of the likelihood.
 
     z is the innovation before any correction; delta already holds those of the rows before.
     """
@@ -159,6 +159,7 @@ def _update(P, h, n, z, variance, gain, delta):
         delta[i] += k * z
         for j in range(n):
             P[i, j] -= k * gain[j]
+    return 0.5 * (z * z / s + math.log(s))
 
 
 @njit(cache=True, error_model="numpy")
@@ -592,7 +593,7 @@ def run_group(model, c, R, m, P, q, steps, rows):
             for i in range(n):
                 delta[i] = 0.0
             for i in range(3):
-                _update(P, H[i], n, after[0, i], variance / weight, gain, delta)
+                q[Q_MISFIT] += _update(P, H[i], n, after[0, i], variance / weight, gain, delta)
             alarm = _adapt(after[0], s, 3, c, q)
             event = alarm if alarm != NOTHING else event
             _correct_group(model, R, m, delta, turn, half)

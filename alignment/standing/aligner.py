@@ -24,7 +24,7 @@ from alignment.standing.coarse import (
     limit_heading,
     start_attitude,
 )
-from alignment.standing.filters import GROUP_FILTERS, Filter, heading_covariance
+from alignment.standing.filters import GROUP_FILTERS, Filter, bias_priors, heading_covariance
 from alignment.standing.params import SMALLEST_COS_LATITUDE
 from inertial.earth import EARTH_RATE
 from inertial.recording import ImuSeries
@@ -32,6 +32,7 @@ from inertial.rotation import (
     dcm_from_quaternion,
     euler_from_dcm,
     quaternion_conjugate,
+    quaternion_exp,
     quaternion_log,
     quaternion_multiply,
 )
@@ -48,6 +49,14 @@ _REPEAT_CHANGE = 0.02  # rad of heading, beyond which it is worth while to make 
 _CHECKPOINT_TIME = 5.0  # s; motion takes back the zero velocities of the last one or two
 _LARGEST_SWING = 0.2  # rad that the heading has been corrected by, after which that does not wait
 _REPEATS = 4  # at most, each time
+# A gyro's bias that may be this share of the horizontal Earth rate, or more, wants a mixture of headings: one filter that
+# knows nothing of the heading would swing, and take its swings for evidence.
+_LARGE_BIAS = 0.25
+_HEADINGS = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
+_HEADING_STD = math.radians(15.0)  # of each: half their distance adds up to a uniform density within 3 %
+_SWAY_ANGLE = 5e-3  # rad, within which a vehicle at rest keeps its attitude, whoever steps in
+_REST_BLOCK = 10.0  # s, over which a mean rate tells a turn
+_NARROW = 0.1  # rad, a mixture's spread that one filter describes
 _UNKNOWN = math.radians(30.0)  # spread of a heading that is not worth believing
 _ANOTHER_SCALE = 0.02  # of gravity, by which the mean force may differ from it
 _NO_BIAS = ("riekf6", "ekf5", "ipekf")
@@ -218,7 +227,8 @@ class StandingAligner:
         if self._filter is None:
             return "the coarse alignment is under way" if self._sums[kernels.O_TIME] else "no second at rest yet"
         if self.result.heading_std > _UNKNOWN:
-            return "the gyros' biases hide the Earth rate: turn the vehicle or the IMU"
+            cure = "rotate the IMU, with zero_velocity_while_turning" if self._drowned else "turn the vehicle or the IMU"
+            return f"the gyros' biases hide the Earth rate: {cure}"
         return ""
 
     @property
@@ -234,6 +244,11 @@ class StandingAligner:
         if self._result is None:
             self._result = self._make_result()
         return self._result
+
+    @property
+    def _drowned(self):
+        """Whether the Earth rate is less than a bias and nothing rotates: one half turn does not make up for that."""
+        return self.params.gyro_bias_spread > EARTH_RATE and not self.params.zero_velocity_while_turning
 
     @property
     def _no_latitude(self):
@@ -401,6 +416,10 @@ class StandingAligner:
         coarse = align_by_gravity(self._sums, self.params, math.sqrt(self._sway_var))
         self._remark(True, f"coarse alignment: heading within {math.degrees(coarse.heading_std):.2f} deg")
         self._filter = self._make_filter(coarse)
+        self._mixed = self._by_steps and not self._drowned \
+            and self.params.gyro_bias_spread > _LARGE_BIAS * self.params.north_rate
+        self._doubt_var = UNKNOWN_HEADING_STD ** 2 if self._mixed or self._drowned else 0.0
+        self._find_large_bias = self._biases is not None and self._bias_covariance is None
         if self._filter.in_steps:
             self._repeat_at = 2 * len(self._steps)
             self._run_again(coarse.start_q_nb_wxyz)
@@ -417,8 +436,8 @@ class StandingAligner:
         found.q[kernels.Q_EAST:kernels.Q_COST] = coarse.time * found.R[1]
         return found
 
-    def _blind_filter(self, q_nb_wxyz):
-        return Filter(self._name, self.params, q_nb_wxyz, heading_covariance(UNKNOWN_HEADING_STD, _BLIND_TILT_STD),
+    def _blind_filter(self, q_nb_wxyz, heading_std=UNKNOWN_HEADING_STD):
+        return Filter(self._name, self.params, q_nb_wxyz, heading_covariance(heading_std, _BLIND_TILT_STD),
                       self._biases, self._bias_covariance)
 
     # --- fine ---------------------------------------------------------------------------------------
@@ -512,11 +531,59 @@ class StandingAligner:
         for _ in range(_REPEATS):
             if self._filter.q[kernels.Q_TIME] > 0.0 and self._apart(q_start) < _REPEAT_CHANGE:
                 return
-            self._filter, self._linearised_at, used = self._blind_filter(q_start), q_start, 0
-            while used < len(steps):
-                used += self._filter.run_steps(steps[used:], np.empty((0, kernels.OUT_SIZE)))[0]
-            q_start = self._first_attitude()
-            self._filter.q[kernels.Q_SWING] = 0.0
+            self._linearised_at, off = q_start, 0.0
+            if self._mixed:
+                off = self._run_mixture(q_start, steps)
+            else:
+                self._filter = self._run_through(q_start, steps)
+            if math.isnan(off):
+                return
+            q_start = quaternion_multiply(quaternion_exp([0.0, 0.0, off]), self._first_attitude())
+
+    def _run_through(self, q_start, steps, heading_std=UNKNOWN_HEADING_STD):
+        """Return the filter after steps from a first attitude."""
+        found, used = self._blind_filter(q_start, heading_std), 0
+        while used < len(steps):
+            used += found.run_steps(steps[used:], np.empty((0, kernels.OUT_SIZE)))[0]
+        found.q[kernels.Q_SWING] = 0.0
+        return found
+
+    def _use_rest(self, steps, dcm_nb):
+        """Take the mean rate until the first turn for the gyros' bias, where the prior knows less than the Earth rate."""
+        time = np.cumsum(steps[:, kernels.STEP_DT])
+        edges = np.searchsorted(time, np.arange(0.0, time[-1] - 0.5 * _REST_BLOCK, _REST_BLOCK))
+        rates = np.add.reduceat(steps[:, kernels.STEP_DTHETA:kernels.STEP_DVEL], edges) / np.add.reduceat(
+            steps[:, kernels.STEP_DT], edges)[:, None]
+        turns = np.linalg.norm(rates - rates[0], axis=1) > 4 * _SWAY_ANGLE / _REST_BLOCK
+        count = int(np.argmax(turns)) if turns.any() else len(rates)
+        self._biases[:3] = rates[:count].mean(axis=0)
+        bias_var = EARTH_RATE ** 2 + (_SWAY_ANGLE / (count * _REST_BLOCK)) ** 2
+        self._bias_covariance = bias_priors(self.params, dcm_nb)
+        self._bias_covariance[:3, :3] = min(bias_var, self.params.gyro_bias_spread ** 2) * np.eye(3)
+
+    def _run_mixture(self, q_start, steps):
+        """Run filters from headings all round the circle, and go on with the likeliest (Gaussian sum).
+
+        Return how far off that one the mean of all is, rad; NaN where they are all round the circle.
+        """
+        if self._find_large_bias:
+            self._use_rest(steps, dcm_from_quaternion(q_start))
+        headings = _HEADINGS if self._doubt_var > 0.0 else _HEADINGS[:1]
+        std = _HEADING_STD if len(headings) > 1 else 2 * _HEADING_STD
+        found = [self._run_through(quaternion_multiply(quaternion_exp([0.0, 0.0, turn]), q_start), steps, std)
+                 for turn in headings]
+        misfit = np.array([one.q[kernels.Q_MISFIT] for one in found])
+        best = int(np.argmin(misfit))
+        weights = np.exp(misfit[best] - misfit)
+        weights /= weights.sum()
+        heading = np.array([math.atan2(one.R[1, 0], one.R[0, 0]) for one in found])
+        apart = (heading - heading[best] + math.pi) % (2 * math.pi) - math.pi
+        var = np.array([one.attitude_covariance()[2, 2] for one in found])
+        mean = float(np.angle(weights @ np.exp(1j * apart - 0.5 * var)))
+        total = float(weights @ (apart ** 2 + var))
+        self._filter = found[best]
+        self._doubt_var = max(total - var[best], 0.0) if total - mean ** 2 > _NARROW ** 2 else 0.0
+        return mean if total - mean ** 2 < _UNKNOWN ** 2 else math.nan
 
     def _apart(self, q_start):
         return np.linalg.norm(quaternion_log(quaternion_multiply(
@@ -547,6 +614,7 @@ class StandingAligner:
             time = float(self._filter.q[kernels.Q_TIME])
             q_nb, east = row[:4], self._filter.q[kernels.Q_EAST:kernels.Q_COST]
             dcm, covariance = dcm_from_quaternion(q_nb), self._filter.attitude_covariance()
+            covariance[2, 2] += self._doubt_var
             if self._name in _NO_BIAS:
                 force, rate = bias_sensitivity(self.params)
                 covariance = covariance + self.params.accel_bias_spread ** 2 * force @ force.T \
