@@ -9,7 +9,7 @@ import math
 import sys
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, TransformStamped, Vector3Stamped
+from geometry_msgs.msg import PointStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import FluidPressure, Imu
@@ -72,7 +72,7 @@ class AttitudeNode(SensorNode):
         self._gate = TimeGate(self.params)
         self._frame, self._encoders, self._slot = None, {}, None
         self._use_altitude = True
-        self._tf = self._transform_broadcaster() if self.params.publish_tf else None
+        self._transforms = self.transforms() if self.params.publish_tf else None
         on_change(self, self.params, self._apply)
         for topic, kind in MESSAGE_TYPES.items():
             self.advertise(kind, topic, qos_told=topic == "imu/data")
@@ -120,14 +120,6 @@ class AttitudeNode(SensorNode):
         if self.params.bias_file:
             self._store_biases()
         super().destroy_node()
-
-    def _transform_broadcaster(self):
-        try:
-            from tf2_ros import TransformBroadcaster
-        except ImportError:
-            self.get_logger().error("publish_tf is true but tf2_ros is not installed: no transform")
-            return None
-        return TransformBroadcaster(self)
 
     # --- input
 
@@ -200,8 +192,9 @@ class AttitudeNode(SensorNode):
                 continue
             values = self._messages.values(topic, estimate)
             publisher.publish(self._encoders[topic].encode(stamp_ns, values))
-        if self._tf is not None and estimate.valid:
-            self._send_transform(stamp_ns, estimate)
+        if self._transforms is not None and estimate.valid:
+            self._transforms.send(stamp_ns, self.params.world_frame, self.params.base_frame or frame_id,
+                                  self._messages.values("imu/data", estimate)[ORIENTATION])
 
     def _set_frame(self, frame_id):
         if not frame_id:
@@ -213,16 +206,6 @@ class AttitudeNode(SensorNode):
         self._frame = frame_id
         self._encoders = {topic: StampedEncoder(message_type, *self.params.frames(topic, frame_id))
                           for topic, message_type in OUTPUT_TYPES.items()}
-
-    def _send_transform(self, stamp_ns, estimate):
-        transform = TransformStamped()
-        transform.header.stamp.sec, transform.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-        transform.header.frame_id = self.params.world_frame
-        transform.child_frame_id = self.params.base_frame or self._frame
-        x, y, z, w = self._messages.values("imu/data", estimate)[ORIENTATION].tolist()
-        rotation = transform.transform.rotation
-        rotation.x, rotation.y, rotation.z, rotation.w = x, y, z, w
-        self._tf.sendTransform(transform)
 
     # --- services and parameters
 

@@ -24,6 +24,7 @@ from nav_ros.diagnostics import Level, Report, StreamMeter, diagnostic_array
 from nav_ros.messages import RefusedMessageError
 from nav_ros.parameters import declare_parameters, parameter_names
 from nav_ros.sensor_loop import SensorGroup
+from nav_ros.transforms import Transforms
 
 DEPTH = 1000  # messages; half a second of a fast IMU while the machine is busy elsewhere
 SENSOR_QOS = QoSProfile(depth=DEPTH, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -85,8 +86,9 @@ class SensorNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         for given in self._parameter_overrides:
             if not self.has_parameter(given):  # rclpy drops it without a word
-                (near,) = difflib.get_close_matches(given, parameter_names(params_class), 1, 0.0)
-                self.get_logger().warning(f"there is no parameter {given}; did you mean {near}?")
+                near = difflib.get_close_matches(given, parameter_names(params_class), 1)
+                self.get_logger().warning(f"there is no parameter {given}"
+                                          + "".join(f"; did you mean {name}?" for name in near))
 
     def prepare(self, make):
         """Return what a function returns that has every kernel compiled, so that no message waits for a compiler."""
@@ -120,6 +122,14 @@ class SensorNode(Node):
             kind, topic, OUTPUT_QOS, event_callbacks=events,
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
         return self.outputs[topic]
+
+    def transforms(self):
+        """Return :class:`nav_ros.transforms.Transforms`, or None, which is told, where tf2_ros is not installed."""
+        try:
+            return Transforms(self)
+        except ImportError:
+            self.get_logger().error("publish_tf is true but tf2_ros is not installed: no transform")
+            return None
 
     def add_sensor(self, kind, topic, take, *, needed=False, patience):
         """Subscribe to serialized messages; whatever `take` makes of one, the next one is served.

@@ -91,6 +91,8 @@ class NavigationNodeParams(NavigationParams, TimeGateParams):
         (0.0, 0.0, 0.0), "rad", "roll, pitch, yaw (REP-103) of the IMU in the vehicle", -2 * np.pi, 2 * np.pi)
     auxiliary_rate: float = parameter(
         50.0, "Hz", "highest rate of all output but imu/data; 0: with every sample", 0.0, 1e4)
+    publish_tf: bool = parameter(
+        False, "", "broadcast world_frame to base_frame once it navigates; needs tf2_ros", runtime=False)
 
 
 class NavigationSession:

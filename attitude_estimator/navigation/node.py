@@ -27,6 +27,7 @@ from attitude_estimator.navigation.edge import (
 )
 from attitude_estimator.navigation.estimator import NavigationEstimator
 from nav_ros.diagnostics import Level
+from nav_ros.messages import POSE_ORIENTATION, POSE_POSITION
 from nav_ros.parameters import on_change
 from nav_ros.sensor_loop import run_sensor_node
 from nav_ros.sensor_node import SensorNode
@@ -50,6 +51,7 @@ class NavigationNode(SensorNode):
         self.prepare(self._warm_up)
         self._session = NavigationSession(self.params, self.fault)
         self._answers = NavigationOutput(self._session)
+        self._transforms = self.transforms() if self.params.publish_tf else None
         self._origin, self._told = None, {}
         on_change(self, self.params, self._apply)
         for topic, kind in OUTPUT_TYPES.items():
@@ -76,7 +78,16 @@ class NavigationNode(SensorNode):
         if self._session.take("imu", raw):
             for topic, serialized in self._answers.messages(self.wanted):
                 self.outputs[topic].publish(serialized)
+            if self._transforms is not None and self._session.estimator.estimate.navigating:
+                self._send_transform()
         return self._session.stamp_ns
+
+    def _send_transform(self):
+        estimate = self._session.estimator.estimate
+        pose = self._session.messages.values("odometry", estimate)
+        self._transforms.send(int(estimate.stamp_ns), self.params.world_frame,
+                              self.params.base_frame or self._session.frame, pose[POSE_ORIENTATION],
+                              pose[POSE_POSITION])
 
     def _apply(self, params):
         self.params = self._session.params = params

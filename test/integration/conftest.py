@@ -26,8 +26,8 @@ from nav_ros.sensor_loop import served  # noqa: E402
 
 LIMIT = 60.0
 """Seconds after which something has gone wrong, on however busy a machine."""
-COMPILE_LIMIT = 400.0
-"""Seconds that a start may take which has every kernel to compile."""
+COMPILE_LIMIT = 900.0
+"""Seconds that a start may take which has every kernel to compile, on however busy a machine."""
 DEPTH = 5000
 """Queue depth that holds more messages than any test publishes."""
 GRAVITY = 9.80665
@@ -255,9 +255,9 @@ class Bench:
         self._cleanup.callback(_kill, program.process)
         return program
 
-    def start_ready(self, *arguments):
-        """Start attitude_node and wait until it listens."""
-        node = self.start("attitude_node", *arguments)
+    def start_ready(self, *arguments, name="attitude_node"):
+        """Start a node and wait until it listens."""
+        node = self.start(name, *arguments)
         node.wait_for("]: ready", COMPILE_LIMIT)
         return node
 

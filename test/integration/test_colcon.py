@@ -50,7 +50,7 @@ def test_executables_are_where_ros2_run_looks(installed, name):
 
 def test_ament_index_has_the_package(installed):
     assert (installed / "share/ament_index/resource_index/packages" / PACKAGE).is_file()
-    for name in ("package.xml", "config/attitude.yaml", "launch/attitude.launch.py",
+    for name in ("package.xml", "config/attitude.yaml", "launch/attitude.launch.py", "launch/node.launch.py",
                  "bags/turns/metadata.yaml"):
         assert (installed / "share" / PACKAGE / name).is_file(), name
 

@@ -25,8 +25,6 @@ from nav_ros.cli import score_bag_main, simulate_bag_main  # noqa: E402
 from nav_ros.messages import DOUBLES, POSE_COVARIANCE, POSE_POSITION  # noqa: E402
 
 TYPES = {"imu/data": Imu, "odometry": Odometry, "imu/gyro_bias": Vector3Stamped, "imu/accel_bias": Vector3Stamped}
-COMPILE_LIMIT = 400.0
-"""Seconds that a start may take which has every kernel to compile."""
 SAME = 1e-9
 """The same session on the same bytes."""
 DURATION, IMU_RATE = 33.0, 50.0  # s, Hz: ends in the first dropout
@@ -59,9 +57,7 @@ def navigated(flight_bag, tmp_path_factory):
 def open_node(open_bench):
     """Return a bench and a navigation_node for all tests of this file."""
     with open_bench() as bench:
-        node = bench.start("navigation_node", "-p", "auxiliary_rate:=0.0", "-p", "fix_stdd:=2.0")
-        node.wait_for("]: ready", COMPILE_LIMIT)
-        yield bench, node
+        yield bench, bench.start_ready("-p", "auxiliary_rate:=0.0", "-p", "fix_stdd:=2.0", name="navigation_node")
 
 
 def stamps_of(raws):

@@ -54,12 +54,6 @@ def moved_bag(tmp_path_factory):
     return bag
 
 
-def start(bench, *arguments):
-    node = bench.start("alignment_node", *arguments)
-    node.wait_for("]: ready", 400.0)
-    return node
-
-
 def values_of(status):
     return {entry.key: entry.value for entry in status.values}
 
@@ -91,8 +85,8 @@ def errors_of(messages, recording):
 
 
 def test_a_vehicle_is_aligned_again_after_a_move_and_offline_as_online(bench, moved_bag):
-    given = [f"{name}:={value}" for name, value in (GIVEN | {"latitude": LATITUDE}).items()]
-    node = start(bench, "--params-file", CONFIG, *(word for text in given for word in ("-p", text)))
+    given = [word for name, value in (GIVEN | {"latitude": LATITUDE}).items() for word in ("-p", f"{name}:={value}")]
+    node = bench.start_ready("--params-file", CONFIG, *given, name="alignment_node")
     peer = bench.peer()
     heard = {topic: peer.hear(kind, topic, raw=False) for topic, kind in (
         ("alignment/level", Vector3Stamped), ("alignment/attitude", Imu),
@@ -140,7 +134,7 @@ def test_a_vehicle_is_aligned_again_after_a_move_and_offline_as_online(bench, mo
 
 
 def test_latitude_by_fix_services_and_wrong_units(bench):
-    node = start(bench, "--params-file", CONFIG)
+    node = bench.start_ready("--params-file", CONFIG, name="alignment_node")
     peer = bench.peer()
     statuses = peer.hear(DiagnosticStatus, "alignment/status", raw=False)
     imu = peer.publisher(Imu, "imu/data_raw")
