@@ -9,7 +9,12 @@
 ``north``        the joint estimator: one search for the heading, nuisances marginalised by priors
 ``bounds``       Cramer-Rao bounds; the deviation to expect of a schedule under white and 1/f noise
 ``dwells``       raw samples at one table angle to a dwell, or the reason why it does not count
-``station``      all of it, one dwell at a time: what a node or a command line calls
+``station``      level and heading from dwells, one by one; which angle is wanted next
+``rotation``     level and heading from a table that turns steadily, by running sums
+``comparison``   the closed forms on what either has measured
+``joint_check``  sign, unit and delay of the table's joint, by the z gyro
+``collector``    streams of samples and angles to dwells, moves and steady turning
+``session``      all of it: what a node or a command line calls; ``reasons`` for a refused heading
 ===============  =================================================================================
 
 Conventions are those of :mod:`inertial`, and the table's are in :mod:`alignment.turntable`. An angle of a

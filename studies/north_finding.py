@@ -294,6 +294,7 @@ def draw_pairs(axes, title, names, printed, ours):
     axes.plot(printed, place, "s", color="0.45", markersize=7, label="printed in the paper")
     axes.plot(ours, place, "o", color="C0", markersize=7, label="the same equations here")
     axes.set_xscale("log")
+    axes.xaxis.set_minor_formatter(lambda value, position: "")
     axes.set_yticks(place, names)
     axes.set_ylim(-0.6, len(names) - 0.4)
     axes.set_title(title, loc="left", fontsize=11)

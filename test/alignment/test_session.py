@@ -12,10 +12,12 @@ from alignment.sequences import continuous_rotation
 from alignment.session import TableSession, warm_up
 from alignment.turntable import TriadErrors, Turntable, simulate_readings
 from inertial.earth import normal_gravity
+from inertial.rotation import dcm_nb_from_euler
 from inertial.table_scenarios import HEADING, LATITUDE, PITCH, ROLL, TABLE_SCENARIOS, simulate_table
 
-IMU_RATE = 50.0
+IMU_RATE = 25.0
 SIGMAS = 4.0  # outside once in 16 000
+DELAY = 0.005  # s, of a delay found from sixteen moves at 25 Hz
 GRADE = TABLE_SCENARIOS["turntable_navigation"]
 PARAMS = AlignmentParams(
     latitude=LATITUDE, gyro_noise_density=GRADE.errors.gyro_noise_density,
@@ -103,10 +105,67 @@ def test_angles_that_are_all_the_same_are_refused_with_the_condition_number(reco
     still = dataclasses.replace(recording, joint=dataclasses.replace(
         recording.joint, angle=np.zeros(len(recording.joint))))
     count = round(16.0 * IMU_RATE)
-    imu = dataclasses.replace(recording.imu, gyro_b=np.tile(recording.imu.gyro_b[:count], (10, 1))[:7400],
-                              accel_b=np.tile(recording.imu.accel_b[:count], (10, 1))[:7400])
+    imu = dataclasses.replace(recording.imu, gyro_b=np.tile(recording.imu.gyro_b[:count], (10, 1))[:len(recording.imu)],
+                              accel_b=np.tile(recording.imu.accel_b[:count], (10, 1))[:len(recording.imu)])
     session = run(dataclasses.replace(still, imu=imu), follow=False)
     assert len(session.dwells) > 3 and "condition number" in session.refusal
+
+
+def with_joint(recording, angle=None, delay_ns=0):
+    """Return the recording with other joint angles and later stamps of theirs."""
+    joint = recording.joint
+    angle = joint.angle if angle is None else angle
+    return dataclasses.replace(recording, joint=dataclasses.replace(
+        joint, stamp_ns=joint.stamp_ns + delay_ns, angle=angle))
+
+
+def test_a_joint_that_turns_the_wrong_way_is_named(recording):
+    session = run(with_joint(recording, -recording.joint.angle))
+    assert "must be counter-clockwise seen from above" in session.refusal
+    assert [text for good, text in session.take_remarks() if not good] == [session.refusal]
+
+
+def test_late_stamps_of_the_joint_are_told_and_do_no_harm_at_dwells(recording):
+    session = run(with_joint(recording, delay_ns=80_000_000))
+    assert_aligned(session)
+    assert session.joint.delay == pytest.approx(0.08, abs=DELAY)
+    assert any("stamps are" in text and "late" in text for _, text in session.take_remarks())
+    known = run(with_joint(recording, delay_ns=80_000_000), dataclasses.replace(PARAMS, joint_delay=0.08))
+    assert known.joint.delay == pytest.approx(0.0, abs=DELAY)
+
+
+def test_stops_that_are_too_short_are_told(recording):
+    session = run(recording, dataclasses.replace(PARAMS, dwell_time=80.0), follow=False)
+    assert not session.dwells
+    assert session.rejected[0].rejection == "stood only 15.5 s after settling; half of dwell_time, 40 s, is the least"
+
+
+def test_a_table_that_has_moved_is_noticed(recording):
+    count = round(120.0 * IMU_RATE)
+    tilt = dcm_nb_from_euler(0.005, 0.0, 0.0)
+
+    def moved(vector_b):
+        return np.concatenate([vector_b[:count], vector_b[count:] @ tilt])
+    twice = dataclasses.replace(recording, imu=repeated(recording.imu), joint=repeated(recording.joint))
+    session = run(twice, gyro=moved, accel=moved)
+    assert "has moved; begin anew" in session.refusal
+    assert any("accelerometer is" in dwell.rejection for dwell in session.rejected)
+
+
+def repeated(series):
+    """Return a series twice, one after the other."""
+    step_ns = series.stamp_ns[1] - series.stamp_ns[0]
+    span_ns = series.stamp_ns[-1] - series.stamp_ns[0] + step_ns
+    rest = {field.name: np.concatenate([getattr(series, field.name)] * 2) for field in dataclasses.fields(series)
+            if field.name != "stamp_ns"}
+    return type(series)(np.concatenate([series.stamp_ns, series.stamp_ns + span_ns]), **rest)
+
+
+def test_a_latitude_without_its_sign_is_doubted(recording):
+    session = run(recording, dataclasses.replace(PARAMS, latitude=-LATITUDE))
+    assert "is the sign of the latitude right?" in session.doubt
+    assert session.refusal
+    assert run(recording).doubt == ""
 
 
 def test_other_methods_and_what_they_lack(recording):
@@ -117,9 +176,10 @@ def test_other_methods_and_what_they_lack(recording):
     assert float(chosen.result.north.heading) == pytest.approx(float(headings["azimuth_4"].heading), abs=1e-5)
     assert set(levels) == {"joint", *(f"levelling_{k}" for k in range(1, 6))}
     assert set(headings) == {"joint", *METHODS}
+    count = round(54.0 * IMU_RATE)
     early = dataclasses.replace(recording, imu=dataclasses.replace(
-        recording.imu, stamp_ns=recording.imu.stamp_ns[:2700], gyro_b=recording.imu.gyro_b[:2700],
-        accel_b=recording.imu.accel_b[:2700]))
+        recording.imu, stamp_ns=recording.imu.stamp_ns[:count], gyro_b=recording.imu.gyro_b[:count],
+        accel_b=recording.imu.accel_b[:count]))
     session = run(early, dataclasses.replace(PARAMS, method="azimuth_1b"))
     assert len(session.dwells) == 3 and "azimuth_1b lacks a position" in session.refusal
 
@@ -131,7 +191,7 @@ def test_dwells_after_a_stop_follow_those_before(recording):
     for k, stamp_ns in enumerate(recording.imu.stamp_ns.tolist()):
         if k == half:
             session.stop()
-        if k == half + 50:
+        if k == half + round(IMU_RATE):
             session.start()
         if stamp_ns in joints:
             session.add_joint(stamp_ns, joints[stamp_ns])
