@@ -37,7 +37,7 @@ N_KINDS = len(KINDS)
  X_BLIND, X_BLIND_COV, X_BLIND_ON, X_DOWN_FIX, X_DOWN_VEL,
  X_INTERVAL, X_GYRO_LP, X_ACCEL_LP, X_GYRO_SPREAD, X_ACCEL_SPREAD,
  X_SINCE, X_NIS, X_USED, X_REFUSED, X_REFUSING,
- X_DRIFT, X_DVEL, X_DVEL_TIME, X_LAST_VELOCITY, X_LOST,
+ X_DRIFT, X_DVEL, X_DVEL_TIME, X_LAST_VELOCITY, X_LOST, X_SLOW,
  STATE_SIZE) = _offsets(
     1,  # PHASE: 0 levelling or looking for the heading, 1 navigating
     4, 3, 3, 3, 3, 1, N * N,  # q_nb_wxyz, velocity, position, biases, altimeter's zero, covariance
@@ -47,13 +47,14 @@ N_KINDS = len(KINDS)
     1, 3, 3, 1, 1,  # mean interval; low-passed sample; its squared distance from it
     6, 6, 6, 6, 6,  # of each kind: s since used, NIS over its mean, used, refused, s of refusing
     3, 3, 1, 4,  # cascade: acceleration error NED; velocity gained by force and in what time; last velocity, known
-    1)  # how often the heading was lost
+    1, 3)  # how often the heading was lost; variance of the fixes' slow error, which the position shares
 PARAMETER_NAMES = (
     "cascade", "steady", "local_gravity", "gyro_noise_density", "gyro_rate_error", "accel_noise_density",
     "accel_force_error", "gyro_bias_walk", "accel_bias_std", "accel_bias_time", "altitude_drift_density",
     "altitude_scale_error", "innovation_gate", "recovery_time", "heading_start_std", "cascade_bias_std",
     "cascade_bias_time", "axis_frequency", "fix_interval", "antenna_x", "antenna_y", "antenna_z",
-    "measurement_buffer", "gap_limit")
+    "measurement_buffer", "gap_limit",
+    "fix_slow_share", "fix_slow_time")
 
 # One row of output.
 (OUT_VALID, OUT_HEADING, OUT_NAVIGATING, OUT_Q, OUT_V, OUT_P, OUT_BG, OUT_BA, OUT_GYRO, OUT_ACCEL, OUT_COV,
@@ -86,7 +87,7 @@ I_SIZE = I_QUEUE_STAMPS + QUEUE
  P_ACCEL_BIAS_STD, P_ACCEL_BIAS_TIME, P_ALT_DRIFT, P_ALT_SCALE, P_GATE, P_RECOVERY, P_HEADING_STD,
  P_AXIS_BIAS_STD, P_AXIS_BIAS_TIME, P_AXIS_FREQUENCY, P_FIX_INTERVAL, P_ANTENNA) = range(
      M_PARAMETERS, M_PARAMETERS + 20)
-P_BUFFER, P_GAP_LIMIT = P_ANTENNA + 3, P_ANTENNA + 4
+P_BUFFER, P_GAP_LIMIT, P_SLOW_SHARE, P_SLOW_TIME = range(P_ANTENNA + 3, P_ANTENNA + 7)
 
 # M_EARTH: 1 once there is a place; latitude, radii of curvature at its height, and height (m) of the origin.
 EARTH_RATE = 7.292115e-5
@@ -249,7 +250,7 @@ def kalman_update(P, H, R, y, d, dx, gate):
     float
         The normalised squared innovation (NIS); above `gate` nothing was changed.
     """
-    n = len(P)
+    n = len(dx)
     # W = H P and K are held as rows of n, so that the inner loops run along memory.
     rows, small = np.zeros((6, n)), np.empty((7, 3))
     W, K, S, L, u = rows[:3], rows[3:], small[:3], small[3:6], small[6]
@@ -310,6 +311,9 @@ def kalman_update(P, H, R, y, d, dx, gate):
                 s -= K[a, i] * W[a, j] + W[a, i] * K[a, j]
             P[i, j] = P[j, i] = s
     return nis
+
+
+_update_inlined = njit(inline="always")(kalman_update.py_func)  # where the sizes are constants: a third faster
 
 
 # --- attitude and gyro bias, paper 001 --------------------------------------------------------------
@@ -375,7 +379,7 @@ def mekf_vector_update(q, bias, P, measured_b, reference_n, R, gate):
     H[0, 1], H[0, 2] = -reference_n[2], reference_n[1]
     H[1, 0], H[1, 2] = reference_n[2], -reference_n[0]
     H[2, 0], H[2, 1] = -reference_n[1], reference_n[0]
-    nis = kalman_update(P, H, R_n, y, 3, dx, gate)
+    nis = _update_inlined(P, H, R_n, y, 3, dx, gate)
     if nis <= gate:
         _turn_navigation(q, dx[0], dx[1], dx[2])
         for i in range(3):
@@ -516,7 +520,10 @@ def _carry_covariance(P, D, u, dt, decay):
 
 @_inlined
 def _eskf_predict(m, P, dt, w, f, gyro_var, accel_var):
-    """Carry the filter over dt (s); w and f less their biases, variances (rad^2, m^2/s^2) on top of the noise."""
+    """Carry the filter over dt (s); w and f less their biases, variances (rad^2, m^2/s^2) on top of the noise.
+
+    The position is that of the fixes, slow error included, so that it drifts as that error does.
+    """
     D, u = np.empty((3, 3)), np.empty(3)
     _carry_mean(m, w, f, dt, D, u)
     decay = max(1.0 - dt / m[P_ACCEL_BIAS_TIME], 0.0)
@@ -531,7 +538,7 @@ def _eskf_predict(m, P, dt, w, f, gyro_var, accel_var):
         P[V + i, V + i] += q_velocity
         P[POS + i, V + i] += 0.5 * dt * q_velocity
         P[V + i, POS + i] += 0.5 * dt * q_velocity
-        P[POS + i, POS + i] += dt * dt * q_velocity / 3.0
+        P[POS + i, POS + i] += dt * dt * q_velocity / 3.0 + 2.0 * dt * m[X_SLOW + i] / m[P_SLOW_TIME]
         P[BG + i, BG + i] += dt * m[P_GYRO_WALK] ** 2
         P[BA + i, BA + i] += 2.0 * dt / m[P_ACCEL_BIAS_TIME] * m[P_ACCEL_BIAS_STD] ** 2
     P[REF, REF] += dt * (m[P_ALT_DRIFT] ** 2 + (m[P_ALT_SCALE] * m[X_V + 2]) ** 2)
@@ -700,6 +707,7 @@ def _cascade_predict(m, P, dt, w, f, gyro_var, accel_var):
         m[X_V + i] += dt * m[X_DRIFT + i]
         m[X_DRIFT + i] *= decay
         m[X_DVEL + i] += u[i]
+        P[POS + i, POS + i] += 2.0 * dt * m[X_SLOW + i] / m[P_SLOW_TIME]
     m[X_DVEL_TIME] += dt
 
 
@@ -1000,6 +1008,12 @@ def _carry(m, L):
 
 
 @_inlined
+def _follow_slow_error(m, cov):
+    for i in range(3):
+        m[X_SLOW + i] = m[P_SLOW_SHARE] * cov[i, i]
+
+
+@_inlined
 def _take_starting(m, kind, z, cov, age, L):
     """Take a measurement, valid `age` s before the sample L, into the start."""
     if kind == K_ALTITUDE:
@@ -1016,6 +1030,8 @@ def _take_starting(m, kind, z, cov, age, L):
     nis = kalman_update(P, H, R, y, 2, dx, gate)
     _judge(m, kind, nis, 2, gate)
     if nis <= gate:
+        if kind == K_FIX:
+            _follow_slow_error(m, cov)
         _blind_correct(m, kind, z, cov, age, dx)
 
 
@@ -1055,6 +1071,8 @@ def _take(m, aid, age, L):
     _judge(m, kind, nis, d, gate)
     if not nis <= gate:
         return
+    if kind == K_FIX:
+        _follow_slow_error(m, cov)
     _correct(m, dx)
     if cascade and kind == K_VELOCITY and _level_by_velocity(m, z, cov, age, H, R, y):
         level_gate = m[P_GATE] + 6.0
@@ -1115,6 +1133,7 @@ def _write_output(m, L, out):
             C[i, j] = P[i if i < 3 else V + i - 3, j if j < 3 else V + j - 3]
     cascade = m[P_CASCADE] == 1.0
     for i in range(3):
+        C[6 + i, 6 + i] += m[X_SLOW + i]
         out[OUT_BG_VAR + i] = P[BG + i, BG + i]
         out[OUT_BA_VAR + i] = m[P_ACCEL_BIAS_STD] ** 2 if cascade else P[BA + i, BA + i]
 
@@ -1144,13 +1163,13 @@ def _write_start(m, L, out, C):
         C[3 + i, 3 + i] = C[6 + i, 6 + i] = UNKNOWN_VARIANCE
         if m[X_BLIND_ON] == 1.0:
             out[OUT_V + i], C[3 + i, 3 + i] = m[X_BLIND + BV + i], min(B[BV + i, BV + i], UNKNOWN_VARIANCE)
-            out[OUT_P + i], C[6 + i, 6 + i] = m[X_BLIND + i], min(B[i, i], UNKNOWN_VARIANCE)
+            out[OUT_P + i], C[6 + i, 6 + i] = m[X_BLIND + i], min(B[i, i] + m[X_SLOW + i], UNKNOWN_VARIANCE)
     out[OUT_V + 2], C[5, 5] = L[L_VD], L[L_VD_VAR]
     out[OUT_P + 2], C[8, 8] = -L[L_ALTITUDE], L[L_ALTITUDE_VAR]
     if m[X_DOWN_FIX + 1] > 0.0:
         # Height in the frame of the fixes.
         out[OUT_P + 2] = m[X_DOWN_FIX] + m[X_DOWN_FIX + 2] * L[L_VD]
-        C[8, 8] = m[X_DOWN_FIX + 1] + m[X_DOWN_FIX + 2] ** 2 * L[L_VD_VAR]
+        C[8, 8] = m[X_DOWN_FIX + 1] + m[X_SLOW + 2] + m[X_DOWN_FIX + 2] ** 2 * L[L_VD_VAR]
     for i in range(3):
         out[OUT_BG + i], out[OUT_BA + i] = L[L_BG + i], L[L_BA + i]
         out[OUT_BG_VAR + i], out[OUT_BA_VAR + i] = L[L_BG_VAR + i], L[L_BA_VAR + i]

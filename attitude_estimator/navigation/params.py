@@ -32,6 +32,10 @@ class NavigationParams(LevelParams):
 
     fix_std: float = parameter(
         2.5, "m", "error of a fix, each axis, where its message does not say", 1e-4, 1e4)
+    fix_slow_share: float = parameter(
+        0.5, "", "share of a fix's variance that changes slowly, as multipath does, and so does not average out; 0: "
+        "white noise", 0.0, 1.0)
+    fix_slow_time: float = parameter(60.0, "s", "how long that part lasts", 1.0, 1e5)
     velocity_std: float = parameter(
         0.2, "m/s", "error of a velocity, each axis, where its message does not say", 1e-4, 1e3)
     inclinometer_std: float = parameter(0.02, "rad", "error of an inclinometer, each axis", 1e-6, 1.0)

@@ -173,7 +173,7 @@ def test_with_a_heading_it_navigates_and_then_coasts():
 @pytest.mark.parametrize(("covariance", "kind", "std"), [
     (DIAGONAL, COVARIANCE_KNOWN, 1.0), (DIAGONAL, COVARIANCE_UNKNOWN, 5.0), ((0.0,) * 9, COVARIANCE_KNOWN, 5.0)])
 def test_a_fix_counts_with_its_covariance_or_the_parameter(covariance, kind, std):
-    source = Input(fix_std=5.0)
+    source = Input(fix_std=5.0, fix_slow_share=0.0)
     source.imu(300)
     source.velocity()
     for _ in range(2):  # the first is confirmed by the second and is the origin
