@@ -503,8 +503,8 @@ def honesty_section(seeds):
             f"`eskf15`, the sensors as above, {seeds} flights of 120 s each, after {SETTLED:g} s; positions of "
             f"{POSITION_STD:g} m and velocities of {VELOCITY_STD:g} m/s with their covariances. A slow error lasts "
             f"{SLOW_TIME:g} s; `fix_slow_share` is the receiver's. NEES for each state: mean squared error in "
-            "predicted variances, 1 where both agree, below where the filter is careful. The variance of a position has "
-            "in it the slow error that all fixes share, of which averaging does not rid it.",
+            "predicted variances, 1 where both agree, below where the filter is careful. A position's variance has in "
+            "it the slow error that all fixes share, of which averaging does not rid it.",
             *table(("flight", "receiver", "tilt, deg", "position, m", "NEES tilt", "NEES heading", "NEES velocity",
                     "NEES position"), rows)]
 
