@@ -64,7 +64,7 @@ LONGEST = 20_000  # samples of each recording
 
 def verdict(good):
     """Return in a word whether a limit is kept."""
-    return "kept" if good else "**not kept**"
+    return "held" if good else "**not held**"
 
 
 # --- closed forms -------------------------------------------------------------------------------------
@@ -569,10 +569,10 @@ def claims_section(figures):
     """Return a verdict on each thing that the paper says of its filters."""
     force, gated, cascade, eskf = figures.values()
     rows = [
-        ("two filters give nine states: three attitudes from gyros, three velocities and three positions from the "
-         "accelerometers", "confirmed, once the attitude is aided by more than the force and the second filter has a "
-         "state for the bias (tables above); one filter of 15 states is better in tilt "
-         f"({eskf:.2f} against {cascade:.2f} deg)"),
+        ("two filters in a row give nine states (abstract; what its equations estimate is told in "
+         "[helicopter.md](helicopter.md))", "attitude, velocity and position: confirmed, once the attitude is aided by "
+         "more than the force and the second filter has a state for the acceleration's error (tables above); one "
+         f"filter of 15 states is better in tilt ({eskf:.2f} against {cascade:.2f} deg)"),
         ("an inclinometer corrects the gyros",
          f"only a true one: the accelerometer in its place leaves {force:.1f} deg in flight, chosen by its size "
          f"{gated:.1f} deg"),
