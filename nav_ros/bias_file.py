@@ -5,9 +5,6 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
 _TEXT = """\
 # Biases of an IMU as attitude_node last knew them, in its own axes (FLU). Delete this file after a change of IMU.
 stamp_ns: {stamp_ns}
@@ -42,6 +39,8 @@ def read_biases(path):
     BiasFileError
         It cannot be read, or has not what it should.
     """
+    from ruamel.yaml import YAML  # a node's start does not wait for it
+    from ruamel.yaml.error import YAMLError
     try:
         content = YAML(typ="safe").load(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -10,9 +10,6 @@ import difflib
 import math
 from pathlib import Path
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
 # ROS gives these to every node, so they may stand in a file that an offline tool reads.
 _ROS_OWN = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
@@ -141,6 +138,8 @@ def load_parameter_file(path, node_name, known):
         The file cannot be read, is no mapping, has nothing for the node, or an unknown name (the nearest known one
         is told).
     """
+    from ruamel.yaml import YAML  # a node's start does not wait for it
+    from ruamel.yaml.error import YAMLError
     try:
         content = YAML(typ="safe").load(Path(path).read_text())
     except (OSError, UnicodeDecodeError, YAMLError) as error:

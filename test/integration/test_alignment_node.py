@@ -50,6 +50,10 @@ def stamp_of(raw):
     return int.from_bytes(raw[4:8], "little") * 10**9 + int.from_bytes(raw[8:12], "little")
 
 
+def time_of(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
 def values_of(status):
     return {entry.key: entry.value for entry in status.values}
 
@@ -62,6 +66,10 @@ def test_a_replayed_table_is_aligned(bench, table_bag):
         ("alignment/heading", PoseWithCovarianceStamped), ("alignment/status", DiagnosticStatus),
         ("table/command", Float64))}
     bench.play(peer, table_bag, "in_flight:=100", answers="alignment/attitude")
+    end_ns = read_recording(table_bag).imu.stamp_ns[-1] - ANSWER_PERIOD_NS
+    for topic in ("alignment/attitude", "alignment/level", "alignment/heading"):
+        bench.wait_until(lambda topic=topic: heard[topic] and time_of(heard[topic][-1]) > end_ns, f"the last {topic}")
+    bench.diagnostics(peer, "alignment_node", "alignment").next()
     bench.wait_until(lambda: values_of(heard["alignment/status"][-1])["dwells"] == "8", "eight dwells")
 
     message = heard["alignment/heading"][-1]
