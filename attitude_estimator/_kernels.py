@@ -30,8 +30,8 @@ VD, ALT, BG, BA = 3, 4, 5, 8
 
 # Filter state: first what every model has, then what only the default one has.
 (X, P, ATTITUDE, ELAPSED, INTERVAL, HELD, STUCK, CLIPPED, GYRO, ACCEL, GYRO_LP, ACCEL_LP, GYRO_SPREAD,
- ACCEL_SPREAD, REST, NORTH, YAW_STD, YAW_VAR, ALT_COUNT, SINCE_ALT,
- GRAVITY, GRAVITY_BG, GRAVITY_BA, SINCE_GRAVITY, RESIDUAL, FREE_FALL,
+ ACCEL_SPREAD, ACCEL_VIBRATION, REST, REST_GYRO_LP, REST_ACCEL_LP, NORTH, YAW_STD, YAW_VAR, ALT_COUNT, SINCE_ALT,
+ GRAVITY, GRAVITY_BG, GRAVITY_BA, SINCE_GRAVITY, RESIDUAL, LASTING, FREE_FALL,
  ALT_LAST, ALT_BEFORE, ALT_SPREAD, ALT_STEP, ALT_PERSISTENCE, ALT_REFUSED,
  STATE_SIZE) = _offsets(
     N, N * N,
@@ -40,11 +40,13 @@ VD, ALT, BG, BA = 3, 4, 5, 8
     1, 1, 1,  # HELD s without a good rate; STUCK s of identical samples; CLIPPED s of a rate at its limit
     3, 3,  # GYRO, ACCEL: the last good sample
     3, 3, 1, 1,  # low-passed sample, and low-passed squared distance from it
-    1,  # REST s of stillness
+    1,  # ACCEL_VIBRATION (m/s^2)^2 of an axis, from sample to sample
+    1, 3, 3,  # REST s of stillness; the low-passed sample during it, low-passed again
     3, 1, 1,  # NORTH unit vector: zero of the yaw; its spread: grows as t (rad), as sqrt t (rad^2)
     1, 1,  # ALT_COUNT; SINCE_ALT s
     3, 9, 9,  # GRAVITY low-passed force; -1/g of its sensitivity to gyro bias; to accelerometer bias
     1, 1,  # SINCE_GRAVITY s; RESIDUAL (m/s^2)^2, held maximum
+    3,  # LASTING m/s^2, the residual low-passed in the frame that the gyro carries
     1,  # FREE_FALL: 1 while the low-passed force is too small to show gravity
     1, 1, 1, 1, 1, 1)  # last altitudes, their spread (m^2) and resolution (m), jump tests
 PH = STATE_SIZE  # scratch behind the state: covariance times a measurement's row
@@ -54,9 +56,11 @@ ARRAY_SIZE = PH + N
 PARAMETER_NAMES = (
     "model", "local_gravity", "earth_rate_down",
     "gyro_noise_density", "gyro_rate_error", "accel_noise_density", "accel_force_error",
+    "accel_vibration_share",
     "gyro_bias_std", "gyro_bias_walk", "accel_bias_std", "accel_bias_time",
     "gravity_time", "gravity_floor_std", "gravity_residual_share", "gravity_decay_time",
-    "gravity_correlation", "gravity_start_std", "gravity_bias_share",
+    "gravity_correlation", "gravity_lasting_time", "gravity_lasting_share", "gravity_lasting_share_alone",
+    "gravity_start_std", "gravity_bias_share",
     "rest_gyro_std", "rest_accel_std",
     "altitude_std", "altitude_drift_density", "altitude_scale_error", "altitude_delay", "altitude_delay_std",
     "altitude_gate", "altitude_step_gate",
@@ -96,9 +100,10 @@ SNAPSHOTS = 16
     HISTORY // SNAPSHOTS * STATE_SIZE)
 (P_MODEL, P_GRAVITY, P_EARTH_RATE_DOWN,
  P_GYRO_NOISE, P_GYRO_RATE_ERROR, P_ACCEL_NOISE, P_ACCEL_FORCE_ERROR,
+ P_VIBRATION_SHARE,
  P_GYRO_BIAS_STD, P_GYRO_BIAS_WALK, P_ACCEL_BIAS_STD, P_ACCEL_BIAS_TIME,
  P_GRAVITY_TIME, P_GRAVITY_FLOOR, P_GRAVITY_SHARE, P_GRAVITY_DECAY,
- P_CORRELATION, P_START_STD, P_BIAS_SHARE,
+ P_CORRELATION, P_LASTING_TIME, P_LASTING_SHARE, P_LASTING_ALONE, P_START_STD, P_BIAS_SHARE,
  P_REST_GYRO_STD, P_REST_ACCEL_STD,
  P_ALT_STD, P_ALT_DRIFT, P_ALT_SCALE_ERROR, P_ALT_DELAY, P_ALT_DELAY_STD,
  P_ALT_GATE, P_ALT_STEP_GATE,
@@ -111,6 +116,8 @@ REST_TIME = 1.5  # s of stillness that count as rest
 LOWPASS_TIME = 0.5  # s
 REST_GYRO = math.radians(2.0)  # rad/s about the low-pass
 REST_ACCEL = 0.5  # m/s^2 about the low-pass
+REST_MEMORY = 3.0  # s over which a slow motion shows that passes for rest
+ALTITUDE_AIDS = 10.0  # s after an altitude in which another one is still to come
 GRAVITY_PERIOD = 0.05  # s between gravity updates
 FREE_FALL_SHARE = 0.5  # of gravity, below which the low-passed force shows no direction
 ATTITUDE_TRACE = 0.02  # trace of the down direction's covariance below which there is an attitude
@@ -260,6 +267,7 @@ def row_predict(m, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var):
     accel2 = (fx + g * c[0]) ** 2 + (fy + g * c[1]) ** 2 + (fz + g * c[2]) ** 2
     q_angle = dt * (m[P_GYRO_NOISE] ** 2 + m[P_GYRO_RATE_ERROR] ** 2 * rate2) + gyro_var
     q_vd = dt * (m[P_ACCEL_NOISE] ** 2 + m[P_ACCEL_FORCE_ERROR] ** 2 * accel2) + accel_var
+    q_vd += dt * dt * m[P_VIBRATION_SHARE] * m[ACCEL_VIBRATION]
     _add_multiplicative_noise(m, N, c, q_angle, q_vd)
     m[P + (N + 1) * ALT] += dt * (m[P_ALT_DRIFT] ** 2 + (m[P_ALT_SCALE_ERROR] * m[X + VD]) ** 2)
     for i in range(3):
@@ -294,6 +302,7 @@ def _carry_gravity(m, dt, r, c, fx, fy, fz, force_known):
     gain = max(dt / (m[P_GRAVITY_TIME] + dt), min(1.0, dt / m[ELAPSED])) if force_known else 0.0
     keep = 1.0 - gain
     _rotate(m, GRAVITY, 1, r, keep)
+    _rotate(m, LASTING, 1, r, 1.0)
     for j in range(3):
         _rotate(m, GRAVITY_BG + j, 3, r, keep)
         _rotate(m, GRAVITY_BA + j, 3, r, keep)
@@ -410,24 +419,31 @@ def _expected_residual(m):
 def _gravity_variance(m, elapsed):
     """Variance of one gravity component: how much the low-passed force may be acceleration."""
     g, t = m[P_GRAVITY], m[ELAPSED]
-    residual = 0.0
-    norm2 = 0.0
+    residual = lasting = moved = norm2 = 0.0
+    gain = max(elapsed / (m[P_LASTING_TIME] + elapsed), min(1.0, elapsed / t))
     for i in range(3):
         y = m[GRAVITY + i] + g * m[X + i]
         for j in range(3):
             y -= m[GRAVITY_BA + 3 * i + j] * m[X + BA + j]
         residual += y * y
+        m[LASTING + i] += gain * (y - m[LASTING + i])
+        lasting += m[LASTING + i] ** 2
+        moved += (m[ACCEL_LP + i] - m[REST_ACCEL_LP + i]) ** 2
         norm2 += m[GRAVITY + i] ** 2
     fall = max(elapsed / (m[P_GRAVITY_DECAY] + elapsed), min(1.0, 2.0 * elapsed / t))
     m[RESIDUAL] = max(residual, m[RESIDUAL] + fall * (residual - m[RESIDUAL]))
     m[FREE_FALL] = 1.0 if norm2 < (FREE_FALL_SHARE * g) ** 2 else 0.0
-    if residual > 16.0 * (m[P_REST_ACCEL_STD] ** 2 + _expected_residual(m)):
+    expected = _expected_residual(m)
+    if residual > 16.0 * (m[P_REST_ACCEL_STD] ** 2 + expected):
         m[REST] = 0.0  # a steady braking or climb is as quiet as rest
     if m[REST] >= REST_TIME:
-        return m[P_REST_ACCEL_STD] ** 2 * max(1.0, 1.0 / elapsed)
+        return (m[P_REST_ACCEL_STD] ** 2 + moved) * max(1.0, 1.0 / elapsed)
     variance = (m[P_GRAVITY_FLOOR] ** 2 + m[P_GRAVITY_SHARE] ** 2 * m[RESIDUAL]
                 + m[P_START_STD] ** 2 / (1.0 + 4.0 * t * t))
-    return variance * max(1.0, m[P_CORRELATION] * min(m[P_GRAVITY_TIME], t) / elapsed)
+    aided = m[ALT_COUNT] > 1.0 and m[SINCE_ALT] < ALTITUDE_AIDS
+    share = m[P_LASTING_SHARE] if aided else m[P_LASTING_ALONE]
+    return (variance * max(1.0, m[P_CORRELATION] * min(m[P_GRAVITY_TIME], t) / elapsed)
+            + share * max(lasting - expected, 0.0) * min(m[P_LASTING_TIME], t) / elapsed)
 
 
 @compiled
@@ -458,8 +474,16 @@ def row_gravity_update(m, elapsed):
 
 @compiled
 def _rest_update(m, elapsed):
-    """At rest the low-passed gyro is its bias; a component 4 sigma off is left out."""
-    noise = m[P_REST_GYRO_STD] ** 2 * max(1.0, 1.0 / elapsed)
+    """At rest the low-passed gyro is its bias; a component 4 sigma off is left out.
+
+    What passes for rest may be a hand or a boat: rates that change, or a force that turns, are no bias.
+    """
+    time = min(m[REST], REST_MEMORY)
+    turning = 0.0
+    for i in range(3):
+        turning += ((m[ACCEL_LP + i] - m[REST_ACCEL_LP + i]) / (m[P_GRAVITY] * time)) ** 2
+        turning += (m[GYRO_LP + i] - m[REST_GYRO_LP + i]) ** 2
+    noise = (m[P_REST_GYRO_STD] ** 2 + turning) * max(1.0, 1.0 / elapsed)
     for i in range(3):
         y = m[GYRO_LP + i] - m[X + BG + i] - m[P_EARTH_RATE_DOWN] * m[X + i]
         variance = m[P + (N + 1) * (BG + i)] + noise
@@ -583,9 +607,10 @@ def _track(m, dt, wx, wy, wz, fx, fy, fz):
     gain = max(dt / (LOWPASS_TIME + dt), min(1.0, dt / m[ELAPSED]))
     w = (wx, wy, wz)
     f = (fx, fy, fz)
-    dw2 = df2 = 0.0
+    dw2 = df2 = step2 = 0.0
     turning = False
     for i in range(3):
+        step2 += (f[i] - m[ACCEL + i]) ** 2
         m[GYRO + i] = w[i]
         m[ACCEL + i] = f[i]
         m[GYRO_LP + i] += gain * (w[i] - m[GYRO_LP + i])
@@ -597,9 +622,14 @@ def _track(m, dt, wx, wy, wz, fx, fy, fz):
             turning |= bias * bias > 16.0 * (m[P + (N + 1) * (BG + i)] + m[P_REST_GYRO_STD] ** 2)
     m[GYRO_SPREAD] += gain * (dw2 - m[GYRO_SPREAD])
     m[ACCEL_SPREAD] += gain * (df2 - m[ACCEL_SPREAD])
+    m[ACCEL_VIBRATION] += gain * (step2 / 6.0 - m[ACCEL_VIBRATION])
     norm = math.sqrt(fx * fx + fy * fy + fz * fz)
     still = (dw2 < REST_GYRO**2 and df2 < REST_ACCEL**2 and not turning
              and abs(norm - m[P_GRAVITY]) < 0.3 + 3.0 * m[P_ACCEL_BIAS_STD])
+    gain = dt / (min(m[REST], REST_MEMORY) + dt)
+    for i in range(3):
+        m[REST_GYRO_LP + i] += gain * (m[GYRO_LP + i] - m[REST_GYRO_LP + i])
+        m[REST_ACCEL_LP + i] += gain * (m[ACCEL_LP + i] - m[REST_ACCEL_LP + i])
     m[REST] = m[REST] + dt if still else 0.0
 
 

@@ -46,6 +46,9 @@ class LevelParams:
         0.01, "m/s^2/sqrt(Hz)", "white noise of each accelerometer axis", 0.0, 10.0)
     accel_force_error: float = parameter(
         0.0025, "sqrt(s)", "accelerometer noise that grows with the acceleration", 0.0, 1.0)
+    accel_vibration_share: float = parameter(
+        0.03, "", "share of the vibration's power, from sample to sample, that counts as accelerometer noise",
+        0.0, 10.0)
     accel_bias_std: float = parameter(
         0.05, "m/s^2", "spread of the accelerometer bias", 0.0, 5.0)
     accel_bias_time: float = parameter(
@@ -59,10 +62,17 @@ class LevelParams:
     gravity_residual_share: float = parameter(
         0.33, "", "share of the present residual that counts as acceleration", 0.0, 10.0)
     gravity_decay_time: float = parameter(
-        1.3, "s", "how long a residual is remembered", 0.05, 60.0)
+        2.0, "s", "how long a residual is remembered", 0.05, 60.0)
     gravity_correlation: float = parameter(
         1.8, "", "correlation time of the acceleration in the low-pass, in gravity_time; larger is more "
         "careful", 0.0, 100.0)
+    gravity_lasting_time: float = parameter(
+        5.0, "s", "how long a residual has to last to be told from the come and go of motion", 0.05, 100.0)
+    gravity_lasting_share: float = parameter(
+        0.7, "", "share of a residual that lasts, beyond what tilt may be off, that counts as acceleration",
+        0.0, 10.0)
+    gravity_lasting_share_alone: float = parameter(
+        0.2, "", "the same without an altimeter, where gravity alone would show a tilt that is off", 0.0, 10.0)
     gravity_start_std: float = parameter(
         4.7, "m/s^2", "distrust of gravity in the first second", 0.0, 50.0)
     gravity_bias_share: float = parameter(

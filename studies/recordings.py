@@ -28,6 +28,8 @@ ABLATIONS = {
     "gravity always trusted alike": {"gravity_residual_share": 0.0, "gravity_floor_std": 0.5},
     "residual not remembered": {"gravity_decay_time": 0.05},
     "gravity updates taken as independent": {"gravity_correlation": 0.0},
+    "what lasts in the residual not measured": {"gravity_lasting_share": 0.0, "gravity_lasting_share_alone": 0.0},
+    "vibration not taken for noise": {"accel_vibration_share": 0.0},
     "no distrust at the start": {"gravity_start_std": 0.0},
     "no accelerometer bias": {"accel_bias_std": 1e-6},
     "accelerometer bias takes its full gain": {"gravity_bias_share": 1.0},

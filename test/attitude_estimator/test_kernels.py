@@ -108,7 +108,9 @@ class DefaultTwin(PaperTwin):
         self.P[5:, 5:] = np.diag(np.repeat([params.gyro_bias_std**2, params.accel_bias_std**2], 3))
         self.s, self.W, self.B = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
         self.time = self.since_gravity = self.since_altitude = self.rest = 0.0
-        self.residual = self.altimeter_var = self.step = 0.0
+        self.residual = self.altimeter_var = self.step = self.vibration = 0.0
+        self.lasting = np.zeros(3)
+        self.rest_gyro, self.rest_accel = np.zeros(3), np.zeros(3)
         self.persistence = self.refused = 0.0
         self.gyro_lp = self.accel_lp = None
         self.zero_rate_updates = 0
@@ -128,13 +130,19 @@ class DefaultTwin(PaperTwin):
         gain = max(dt / (0.5 + dt), min(1.0, dt / self.time))
         if self.gyro_lp is None:
             self.gyro_lp, self.accel_lp = self.first
+            self.accel_before = self.first[1]
         self.gyro_lp = self.gyro_lp + gain * (gyro - self.gyro_lp)
         self.accel_lp = self.accel_lp + gain * (accel - self.accel_lp)
+        self.vibration += gain * (np.sum((accel - self.accel_before) ** 2) / 6 - self.vibration)
+        self.accel_before = accel
         bias_var = np.diag(self.P)[5:8] + self.p.rest_gyro_std**2
         still = (np.linalg.norm(gyro - self.gyro_lp) < np.radians(2.0)
                  and np.linalg.norm(accel - self.accel_lp) < 0.5
                  and abs(np.linalg.norm(accel) - GRAVITY) < 0.3 + 3 * self.p.accel_bias_std
                  and np.all((self.gyro_lp - self.x[5:8]) ** 2 <= 16 * bias_var))
+        slow = dt / (min(self.rest, 3.0) + dt)
+        self.rest_gyro = self.rest_gyro + slow * (self.gyro_lp - self.rest_gyro)
+        self.rest_accel = self.rest_accel + slow * (self.accel_lp - self.rest_accel)
         self.rest = self.rest + dt if still else 0.0
 
     def with_biases(self, F, dt):
@@ -150,7 +158,8 @@ class DefaultTwin(PaperTwin):
         accel2 = np.sum((force + g * self.x[:3]) ** 2)
         self.add_multiplicative(
             dt * (p.gyro_noise_density**2 + p.gyro_rate_error**2 * (rate @ rate)),
-            dt * (p.accel_noise_density**2 + p.accel_force_error**2 * accel2))
+            dt * (p.accel_noise_density**2 + p.accel_force_error**2 * accel2)
+            + dt**2 * p.accel_vibration_share * self.vibration)
         self.P[4, 4] += dt * (p.altitude_drift_density**2 + (p.altitude_scale_error * self.x[3]) ** 2)
         self.P[5:8, 5:8] += dt * p.gyro_bias_walk**2 * np.eye(3)
         self.P[8:, 8:] += 2 * dt / p.accel_bias_time * p.accel_bias_std**2 * np.eye(3)
@@ -158,6 +167,7 @@ class DefaultTwin(PaperTwin):
     def carry_gravity(self, dt, transposed, accel):
         alpha = max(dt / (self.p.gravity_time + dt), min(1.0, dt / self.time))
         self.s_before = transposed @ self.s
+        self.lasting = transposed @ self.lasting
         self.s = (1 - alpha) * self.s_before + alpha * accel
         self.B = (1 - alpha) * transposed @ self.B + alpha * np.eye(3)
         down = self.x[:3] if self.known else -self.s_before / GRAVITY
@@ -176,17 +186,24 @@ class DefaultTwin(PaperTwin):
 
     def gravity_variance(self, elapsed):
         p, t = self.p, self.time
-        y2 = np.sum((self.s + GRAVITY * self.x[:3] - self.B @ self.x[8:]) ** 2)
+        y = self.s + GRAVITY * self.x[:3] - self.B @ self.x[8:]
+        y2 = y @ y
+        slow = max(elapsed / (p.gravity_lasting_time + elapsed), min(1.0, elapsed / t))
+        self.lasting = self.lasting + slow * (y - self.lasting)
         fall = max(elapsed / (p.gravity_decay_time + elapsed), min(1.0, 2 * elapsed / t))
         self.residual = max(y2, self.residual + fall * (y2 - self.residual))
         explained = GRAVITY**2 * np.trace(self.P[:3, :3]) + np.trace(self.P[8:, 8:])
         if y2 > 16 * (p.rest_accel_std**2 + explained):
             self.rest = 0.0
         if self.rest >= 1.5:
-            return p.rest_accel_std**2 * max(1.0, 1.0 / elapsed)
+            moved = self.accel_lp - self.rest_accel
+            return (p.rest_accel_std**2 + moved @ moved) * max(1.0, 1.0 / elapsed)
         variance = (p.gravity_floor_std**2 + p.gravity_residual_share**2 * self.residual
                     + p.gravity_start_std**2 / (1 + (t / 0.5) ** 2))
-        return variance * max(1.0, p.gravity_correlation * min(p.gravity_time, t) / elapsed)
+        aided = len(self.altitudes) > 1 and self.since_altitude < 10.0
+        share = p.gravity_lasting_share if aided else p.gravity_lasting_share_alone
+        return (variance * max(1.0, p.gravity_correlation * min(p.gravity_time, t) / elapsed)
+                + share * max(self.lasting @ self.lasting - explained, 0.0) * min(p.gravity_lasting_time, t) / elapsed)
 
     def partial_update(self, innovation, H, R, share):
         S = H @ self.P @ H + R
@@ -198,7 +215,9 @@ class DefaultTwin(PaperTwin):
         self.s = self.s + GRAVITY * self.W @ correction[5:8]
 
     def use_zero_rate(self, elapsed):
-        R = self.p.rest_gyro_std**2 * max(1.0, 1.0 / elapsed)
+        turned = (self.accel_lp - self.rest_accel) / (GRAVITY * min(self.rest, 3.0))
+        turning = turned @ turned + np.sum((self.gyro_lp - self.rest_gyro) ** 2)
+        R = (self.p.rest_gyro_std**2 + turning) * max(1.0, 1.0 / elapsed)
         for i in range(3):
             H = np.eye(11)[5 + i]
             y = self.gyro_lp[i] - self.x[5 + i]
