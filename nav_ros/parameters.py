@@ -15,7 +15,7 @@ _ROS_OWN = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
 
 def declare_parameters(node, params_class, prefix=""):
-    """Declare every field of a parameter dataclass on a node.
+    """Declare every field of a parameter dataclass on a node; warn of names that were given and are no field.
 
     Parameters
     ----------
@@ -36,6 +36,12 @@ def declare_parameters(node, params_class, prefix=""):
         Naming the parameter, the value and what is allowed.
     """
     from rcl_interfaces.msg import ParameterDescriptor
+    known = parameter_names(params_class, prefix)
+    for given in node._parameter_overrides:  # what nobody declares rclpy drops without a word
+        if given.split(".")[0] not in _ROS_OWN and given.startswith(prefix) and given not in known:
+            near = difflib.get_close_matches(given, known, 1)
+            node.get_logger().warning(f"there is no parameter {given}"
+                                      + "".join(f"; did you mean {name}?" for name in near))
     values = {}
     for field in dataclasses.fields(params_class):
         default = list(field.default) if isinstance(field.default, tuple) else field.default

@@ -17,6 +17,7 @@ from collections import Counter, deque
 from dataclasses import dataclass
 
 import rclpy
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -353,7 +354,7 @@ def main(arguments=None):
         node = ReplayNode()
         warnings.showwarning = lambda message, *_args, **_kwargs: node.get_logger().warning(str(message))
         return _run(node)
-    except (BagError, ValueError, OSError) as error:
+    except (BagError, ValueError, OSError, ParameterException) as error:
         print(f"replay_node: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

@@ -13,6 +13,7 @@ import time
 
 import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
@@ -55,7 +56,8 @@ def run_sensor_node(name, node_class):
     name : str
         Of the program, for what it prints.
     node_class : type
-        Of :class:`nav_ros.sensor_node.SensorNode`, made without arguments; a ValueError ends the start.
+        Of :class:`nav_ros.sensor_node.SensorNode`, made without arguments; a ValueError or a parameter of the wrong
+        type ends the start.
 
     Returns
     -------
@@ -75,7 +77,7 @@ def run_sensor_node(name, node_class):
     try:
         try:
             node = node_class()
-        except ValueError as error:
+        except (ValueError, ParameterException) as error:
             print(f"{name}: {error}", file=sys.stderr)
             return 2
         spin_sensors(node, [(sensor.subscription, sensor.take) for sensor in node.sensors.values()])

@@ -5,7 +5,6 @@ each kind of fault is counted, logged now and then, and told in the next report.
 and at once when a sensor or a peer comes or goes.
 """
 
-import difflib
 import math
 import time
 from collections import Counter
@@ -22,7 +21,7 @@ from rclpy.subscription import Subscription
 
 from nav_ros.diagnostics import Level, Report, StreamMeter, diagnostic_array
 from nav_ros.messages import RefusedMessageError
-from nav_ros.parameters import declare_parameters, parameter_names
+from nav_ros.parameters import declare_parameters
 from nav_ros.sensor_loop import SensorGroup
 from nav_ros.transforms import Transforms
 
@@ -84,11 +83,6 @@ class SensorNode(Node):
         self._listeners, self._watches, self._watched = {}, 0, None
         self._sensor_group = SensorGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        for given in self._parameter_overrides:
-            if not self.has_parameter(given):  # rclpy drops it without a word
-                near = difflib.get_close_matches(given, parameter_names(params_class), 1)
-                self.get_logger().warning(f"there is no parameter {given}"
-                                          + "".join(f"; did you mean {name}?" for name in near))
 
     def prepare(self, make):
         """Return what a function returns that has every kernel compiled, so that no message waits for a compiler."""

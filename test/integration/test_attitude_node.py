@@ -252,6 +252,7 @@ def test_altitude_can_be_switched_off_and_on(bench):
     (["-p", "gyro_noise_density:=fast"], "gyro_noise_density = 'fast': must be a number"),
     (["-p", "mounting_rpy:=[0.0, 1.0]"], "mounting_rpy needs 3 values, got 2"),
     (["-p", "estimator:=magic"], "estimator = 'magic': must be one of"),
+    (["-p", "use_sim_time:=maybe"], "'use_sim_time' to 'maybe'"),
     (["-p", "gyro_noise_density"], "-p gyro_noise_density"),
     (["--params-file", "none.yaml"], "--params-file none.yaml"),
     (["--", "-p", "gyro_noise_density:=0.1"], "unknown argument -p"),
