@@ -145,9 +145,29 @@ class TriadNoise:
     fits: tuple
 
     def combined(self, name):
-        """Return one figure of NOISES for three axes: root mean square, of the upper limit where none is found."""
-        figures = [getattr(fit, name) for fit in self.fits]
-        return math.sqrt(np.mean([(figure.value if figure.found else figure.high) ** 2 for figure in figures]))
+        """Return one figure of NOISES for the axes: root mean square, of the upper limit where none is found.
+
+        Raises
+        ------
+        ValueError
+            No axis' curve is explained, so no figure means anything.
+        """
+        return _root_mean_square([figure.value if figure.found else figure.high for figure in self._figures(name)])
+
+    def shown(self, name):
+        """Return the same with 0 where none is found."""
+        return _root_mean_square([figure.value if figure.found else 0.0 for figure in self._figures(name)])
+
+    def _figures(self, name):
+        figures = [getattr(fit, name) for fit in self.fits if fit.consistent]
+        if not figures:
+            raise ValueError("no axis' Allan curve is explained by the noises of a sensor at rest: it was moved, "
+                             "shaken or warmed, and there are no parameters to write")
+        return figures
+
+
+def _root_mean_square(values):
+    return math.sqrt(np.mean(np.square(values)))
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,8 @@ _PARAMETERS = """\
 #   attitude_node --ros-args --params-file THIS
 #   estimate_bag IN OUT --params THIS            (navigate_bag likewise)
 #   align_bag BAG --latitude DEG --params THIS
-# Root mean squares of the three axes; the upper 95 % limit of what the record does not show.
+# Root mean squares of the axes that these noises explain; of white noise and bias instability the upper 95 % limit
+# where the record does not show them.
 attitude_node:
   ros__parameters:
     gyro_bias_std: {gyro_bias_std:.4g}    # rad/s, twice the largest axis of this switch-on
@@ -66,11 +67,11 @@ def main(arguments=None):
     options = _parser().parse_args(arguments)
     with one_line_errors("allan"):
         noise = measure_noise(read_rest(options.bag, topics_of(options)["imu"], options.start, options.end))
-        if options.out:
-            Path(options.out).write_text(parameter_file(noise, Path(options.bag).name), encoding="utf-8")
+        print(json.dumps(report(noise)) if options.json else table(noise))
         if options.plot:
             draw_allan(noise, options.plot)
-        print(json.dumps(report(noise)) if options.json else table(noise))
+        if options.out:
+            Path(options.out).write_text(parameter_file(noise, Path(options.bag).name), encoding="utf-8")
 
 
 def read_rest(path, topic, start=0.0, end=math.inf):
@@ -128,10 +129,12 @@ def parameter_file(noise, source):
 
 
 def _walk(triad):
-    """Return the random walk whose Allan deviation meets the floor where white noise does, or K if that is more."""
-    density, floor = triad.combined("noise_density"), triad.combined("bias_instability")
-    meeting_time = (density / floor) ** 2
-    return max(floor * math.sqrt(3.0 / meeting_time), triad.combined("walk_density"))
+    """Return the random walk whose Allan deviation meets the floor where white noise does, or K if that is more.
+
+    Only what the record shows counts: the upper limit of a walk in a few minutes is no walk that a filter could use.
+    """
+    return max(math.sqrt(3.0) * triad.shown("bias_instability") ** 2 / triad.combined("noise_density"),
+               triad.shown("walk_density"))
 
 
 def report(noise):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inertial.allan import NOISES, allan_curve, fit_noise, measure_noise
+from inertial.allan import NOISES, TriadNoise, allan_curve, fit_noise, measure_noise
 from inertial.imu_errors import PROFILES, ImuErrors, apply_imu_errors
 from inertial.recording import ImuSeries
 
@@ -166,3 +166,14 @@ def test_too_few_samples_or_too_long_a_time_are_refused():
         allan_curve(np.zeros(1000), 1.0, [1, 600])
     with pytest.raises(ValueError, match="3 averaging times"):
         fit_noise(allan_curve(np.arange(1000.0) % 7, 1.0, [1, 2, 4]))
+
+
+def test_an_axis_that_no_noise_explains_does_not_count():
+    curve = allan_curve(readings(noise_density=1e-3), INTERVAL)
+    good, shaken = fit_noise(curve), replace(fit_noise(curve), consistent=False, misfit=100.0)
+    worse = replace(shaken, noise_density=replace(good.noise_density, value=1.0, low=0.5, high=2.0))
+    alone = TriadNoise(np.zeros(3), curve, (good, good, worse))
+    assert alone.combined("noise_density") == pytest.approx(good.noise_density.value)
+    assert alone.shown("walk_density") == 0.0 < alone.combined("walk_density")
+    with pytest.raises(ValueError, match="moved, shaken"):
+        TriadNoise(np.zeros(3), curve, (shaken, shaken, worse)).combined("noise_density")
