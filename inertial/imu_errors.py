@@ -313,7 +313,8 @@ _BAROMETER = AltimeterErrors(noise_std=0.2, drift_std=0.4, drift_time=120.0, sca
                              resolution=0.02)
 
 # A data sheet's typical value counts as one sigma, which is how Bosch and Analog Devices define theirs. Where it
-# gives nothing, the figure is left at zero, or is marked "class": usual for such sensors.
+# gives nothing, the figure is left at zero, or is marked "class": usual for such sensors. The lines of the BMI160, of
+# the ICM-20948's gyro and of the KVH 1750 are quoted second-hand.
 PROFILES = {
     "perfect": SensorProfile("sensors without errors", ImuErrors(), AltimeterErrors()),
     "consumer": SensorProfile(
@@ -338,14 +339,14 @@ PROFILES = {
             gyro_noise_density=0.007 * _DEG,  # output noise density 0.007 deg/s/sqrt(Hz)
             gyro_bias_std=3.0 * _DEG,  # zero-rate offset +-3 deg/s
             gyro_bias_instability=10.0 * _DEG_PER_HOUR,  # class
-            gyro_scale_std=0.01,  # sensitivity tolerance +-1 %
+            gyro_scale_std=0.01,  # class
             gyro_misalignment_std=0.02,  # cross axis sensitivity 2 %
             gyro_resolution=_DEG / 16.4,  # 16.4 LSB/deg/s
             gyro_range=2000.0 * _DEG,
             accel_noise_density=180e-6 * _G,  # output noise density 180 ug/sqrt(Hz)
             accel_bias_std=40e-3 * _G,  # zero-g offset +-40 mg over lifetime
             accel_bias_instability=40e-6 * _G,  # class
-            accel_scale_std=0.01,  # sensitivity tolerance +-1 %
+            accel_scale_std=0.01,  # class
             accel_misalignment_std=0.01,  # cross axis sensitivity 1 %
             accel_resolution=_G / 2048,  # 2048 LSB/g
             accel_range=16.0 * _G),
