@@ -35,6 +35,9 @@ def parameter(default, unit, description, minimum=None, maximum=None, *, choices
         "choices": choices, "nan_means": nan_means, "runtime": runtime})
 
 
+_LONG = 8  # characters
+
+
 def check_parameters(params):
     """Check every field of a parameter dataclass against its type and range.
 
@@ -60,7 +63,8 @@ def _check_value(field, value, default):
     unit = f" {meta['unit']}" if meta["unit"] else ""
     if isinstance(default, (bool, str)):
         if type(value) is not type(default):
-            raise ValueError(f"{field.name} = {value!r}: must be a {type(default).__name__}")
+            wanted = "text" if isinstance(default, str) else "true or false"
+            raise ValueError(f"{field.name} = {value!r}: must be {wanted}")
         if meta["choices"] and value not in meta["choices"]:
             raise ValueError(f"{field.name} = {value!r}: must be one of "
                              f"{', '.join(meta['choices'])}")
@@ -72,9 +76,14 @@ def _check_value(field, value, default):
         if meta["nan_means"] is None:
             raise ValueError(f"{field.name} = nan: must be a number{unit and ' in' + unit}")
         return
-    low, high = meta["minimum"], meta["maximum"]
-    if not math.isfinite(value) or (low is not None and value < low) \
-            or (high is not None and value > high):
-        raise ValueError(f"{field.name} = {value}{unit}: must be from "
-                         f"{'-inf' if low is None else low} to "
-                         f"{'inf' if high is None else high}{unit}")
+    low = -math.inf if meta["minimum"] is None else meta["minimum"]
+    high = math.inf if meta["maximum"] is None else meta["maximum"]
+    if not math.isfinite(value) or not low <= value <= high:
+        in_degrees = meta["unit"] == "rad" and math.isfinite(value) and low <= math.radians(value) <= high
+        hint = f"; {value:g} deg are {math.radians(value):.6g} rad" if in_degrees else ""
+        raise ValueError(f"{field.name} = {value}{unit}: must be from {_short(low)} to {_short(high)}{unit}{hint}")
+
+
+def _short(number):
+    """Return a number's text, without the many digits of a fraction of pi."""
+    return f"{number}" if len(f"{number}") <= _LONG else f"{number:.6g}"

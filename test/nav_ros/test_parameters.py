@@ -76,7 +76,7 @@ def test_values_from_outside_are_taken_and_an_integer_will_do_for_a_float(node_w
     ("noise:=7.0", "noise = 7.0 rad/s: must be from 0.0 to 1.0 rad/s"), ("noise:=.nan", "noise = nan"),
     ("noise:=loud", "noise = 'loud': must be a number"), ("method:=odd", "must be one of fast, slow"),
     ("mounting:=[1.0]", "mounting needs 3 values"), ("mounting:=5", "mounting = 5: must be 3 values"),
-    ("enabled:=1", "enabled = 1: must be a bool")])
+    ("enabled:=1", "enabled = 1: must be true or false")])
 def test_a_bad_value_at_the_start_is_told_in_one_line(node_with, override, reason):
     with pytest.raises(ValueError, match=reason.replace("[", r"\[")) as error:
         declare_parameters(node_with(override), Params)
@@ -106,7 +106,7 @@ def test_changes_are_handed_over_and_bad_ones_refused_with_the_reason(node_with)
     for name, value, reason in [
             ("noise", 2.0, "noise"), ("noise", math.nan, "noise"), ("noise", "x", "must be a number"),
             ("latitude", 2.0, "latitude = 2.0 rad: must be from -1.6 to 1.6 rad"), ("count", 0, "count"),
-            ("mounting", [1.0], "needs 3 values"), ("enabled", 3, "must be a bool"), ("noise", None, "noise"),
+            ("mounting", [1.0], "needs 3 values"), ("enabled", 3, "must be true or false"), ("noise", None, "noise"),
             ("method", "slow", "read-only")]:
         before = node.get_parameter(name).value
         result = set_one(node, name, value)
