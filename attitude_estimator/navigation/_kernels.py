@@ -297,7 +297,7 @@ def kalman_update(P, H, R, y, d, dx, gate):
             K[a, i] = g * L[a, a]
             s += K[a, i] * y[a]
         dx[i] = s
-    # Joseph's form multiplied out: P - K X - (K X)^T with X = W - S K^T / 2.
+    # Joseph's form multiplied out, K as rows: P - K^T X - X^T K with X = W - S K / 2.
     for a in range(d):
         for i in range(n):
             s = 0.0
