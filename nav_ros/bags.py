@@ -4,6 +4,7 @@ Reading goes in recorded order, by receive time. Whatever is wrong with a bag is
 one line; a recording that was cut off is read up to the break, and a :class:`BagWarning` says so.
 """
 
+import contextlib
 import sqlite3
 import struct
 import warnings
@@ -320,6 +321,8 @@ class BagWriter:
         try:
             self._writer.close()
         except _UNWRITABLE as error:
+            with contextlib.suppress(*_UNWRITABLE):
+                self._writer.storage.abort()
             raise self._cut_off(error) from error
 
     def write(self, topic, receive_ns, raw):
