@@ -7,5 +7,12 @@
 ``node``, ``cli``  ``attitude_node`` and ``estimate_bag``
 =================  ==================================================================================
 
-The equations are in ``docs/attitude.md``. Nothing but ``edge``, ``node`` and ``cli`` knows ROS.
+The equations are in ``docs/attitude.md``. Nothing but ``edge``, ``node`` and ``cli`` knows ROS. What a program
+needs is here: ``from attitude_estimator import AttitudeEstimator``.
 """
+
+from attitude_estimator.estimator import AttitudeEstimator, Estimates, TimeJumpError
+from attitude_estimator.params import AttitudeParams
+from attitude_estimator.smoother import smooth
+
+__all__ = ["AttitudeEstimator", "AttitudeParams", "Estimates", "TimeJumpError", "smooth"]

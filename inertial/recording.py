@@ -9,6 +9,23 @@ from dataclasses import dataclass
 import numpy as np
 
 
+def _check_stamps(series):
+    stamp_ns = np.asarray(series.stamp_ns)
+    if stamp_ns.ndim != 1 or (len(stamp_ns) and stamp_ns.dtype.kind not in "iu"):
+        raise ValueError(f"stamp_ns is {stamp_ns.dtype} of shape {stamp_ns.shape}: must be (N,) integers, nanoseconds")
+    object.__setattr__(series, "stamp_ns", np.ascontiguousarray(stamp_ns, np.int64))
+
+
+def _check_column(series, name, dtype, width):
+    """Make a field what compiled code takes, which looks at neither type nor shape itself."""
+    values = np.ascontiguousarray(getattr(series, name), dtype)
+    if not len(values) and not len(series.stamp_ns):
+        values = values.reshape(0, *width)
+    if values.shape != (len(series.stamp_ns), *width):
+        raise ValueError(f"{name} has shape {values.shape}, expected {(len(series.stamp_ns), *width)}")
+    object.__setattr__(series, name, values)
+
+
 @dataclass(frozen=True)
 class ImuSeries:
     """IMU samples in the order received.
@@ -18,11 +35,21 @@ class ImuSeries:
     stamp_ns : (N,) int64
     gyro_b : (N, 3) float64, rad/s, FRD
     accel_b : (N, 3) float64, specific force, m/s^2, FRD
+
+    Raises
+    ------
+    ValueError
+        Naming the field that has another shape, or stamps that are not integers.
     """
 
     stamp_ns: np.ndarray
     gyro_b: np.ndarray
     accel_b: np.ndarray
+
+    def __post_init__(self):
+        _check_stamps(self)
+        _check_column(self, "gyro_b", np.float64, (3,))
+        _check_column(self, "accel_b", np.float64, (3,))
 
     def __len__(self):
         return len(self.stamp_ns)
@@ -37,11 +64,21 @@ class AltitudeSeries:
     stamp_ns : (M,) int64, when each value was valid
     altitude : (M,) float64, m, up
     arrival : (M,) int64, how many IMU samples had been received before each value
+
+    Raises
+    ------
+    ValueError
+        As for :class:`ImuSeries`.
     """
 
     stamp_ns: np.ndarray
     altitude: np.ndarray
     arrival: np.ndarray
+
+    def __post_init__(self):
+        _check_stamps(self)
+        _check_column(self, "altitude", np.float64, ())
+        _check_column(self, "arrival", np.int64, ())
 
     def __len__(self):
         return len(self.stamp_ns)

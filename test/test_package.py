@@ -21,6 +21,7 @@ from nav_ros.parameters import load_parameter_file, parameter_names, params_from
 PACKAGE = "attitude_alignment"
 NODES = ("attitude_node", "alignment_node", "navigation_node", "replay_node")  # ROS programs have no --help
 BAGS_LIMIT = 10e6  # bytes, so that a clone stays small
+TILT_DEG = 0.05  # of the recipe in Python: ideal sensors that stand still
 HELP_TIMEOUT = 60.0  # s, generous: only a program that hangs is late
 # Not to be published: where a developer works, and what is not done.
 UNWANTED = re.compile(r"/(?:root|home/\w+|tmp|work)/|\b(?:TODO|FIXME|XXX)\b")
@@ -49,6 +50,13 @@ def readme_with_tables(repository):
     module = importlib.util.module_from_spec(importlib.util.spec_from_loader(loader.name, loader))
     loader.exec_module(module)
     return module.with_tables
+
+
+def test_the_recipe_in_python_finds_the_roll_of_its_table(repository, capsys):
+    code = (repository / "docs" / "usage.md").read_text().split("```python\n")[1].split("```")[0]
+    exec(compile(code, "docs/usage.md", "exec"), {})
+    roll_deg, pitch_deg = re.match(r"roll (\S+), pitch (\S+), sigma", capsys.readouterr().out).groups()
+    assert (float(roll_deg), float(pitch_deg)) == (pytest.approx(10.0, abs=TILT_DEG), pytest.approx(0.0, abs=TILT_DEG))
 
 
 def test_readme_has_the_parameters_of_the_dataclasses(repository):
