@@ -184,6 +184,8 @@ def compare_levels(accel_x, accel_y, params):
     tipped = ("0", "90", "180", "tipped")
     if accel_x.has(tipped):
         readings, covariance = forces(accel_x, tipped)
+        # The z accelerometer has a bias and a scale factor of its own.
+        covariance[3, 3] += 2 * (params.accel_bias_std ** 2 + (params.accel_scale_std * readings[3]) ** 2)
         results["levelling_5"] = levelling.levelling_5(readings[:3], readings[3], gravity, covariance,
                                                        shared_channel=True)
     return dict(sorted(results.items()))
