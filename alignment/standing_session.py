@@ -16,9 +16,10 @@ from inertial.recording import ImuSeries
 # Samples are handed over by blocks, which costs a fraction of one by one; no result comes more often.
 _BLOCK_NS = 100_000_000
 _COMPARED = 10  # blocks handed over at a time where only the end matters
-# m/s, more than a vehicle that turns on the spot reaches. What drives off has crept before it was noticed, and the
-# zero velocities of that time have spoilt what was known.
+# m/s, more than a vehicle that turns on the spot reaches.
 _DRIVEN = 1.0
+# These know errors about rest only, and cannot take back the zero velocities of a vehicle that crept off unnoticed.
+_LOST_BY_A_DRIVE = ("ipekf", "ekf5", "ekf10", "ukf10")
 
 
 class StandingSession:
@@ -148,8 +149,10 @@ class StandingSession:
         return self._phase != before
 
     def _watch_drive(self):
-        """Begin anew where a drive ends; what only turns on the spot goes on with what it knew."""
+        """Begin anew where a drive ends that the method does not bear; a turn on the spot every one does."""
         aligner = self._aligner
+        if self.params.method not in _LOST_BY_A_DRIVE:
+            return
         if aligner.moving:
             result = aligner.result
             self._driven |= result is not None and np.linalg.norm(result.velocity_n) > _DRIVEN

@@ -10,9 +10,9 @@ import argparse
 import math
 import os
 import subprocess
-import time
 from dataclasses import replace
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 
@@ -893,7 +893,7 @@ def step_costs(count=3000):
             state.run_steps(steps, none)
         steps_of.samples = len(steps)
         functions[f"{name}, 10 Hz"] = steps_of
-    return times_in_turn(functions, count, time.process_time)
+    return times_in_turn(functions, count, process_time)
 
 
 def formula_counts():

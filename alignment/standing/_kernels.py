@@ -85,14 +85,11 @@ def _rotation(x, y, z, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _multiply(a, b, n, out):
-    """Fill out (n, n) with a b."""
-    for i in range(n):
-        for j in range(n):
-            total = 0.0
-            for k in range(n):
-                total += a[i, k] * b[k, j]
-            out[i, j] = total
+def _multiply(a, b, out):
+    """Fill out (3, 3) with a b."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
 @njit(cache=True, error_model="numpy")
@@ -112,13 +109,13 @@ def _orthonormalise(r):
             g[i, j] = -0.5 * (r[0, i] * r[0, j] + r[1, i] * r[1, j] + r[2, i] * r[2, j])
         g[i, i] += 1.5
     out = np.empty((3, 3))
-    _multiply(r, g, 3, out)
+    _multiply(r, g, out)
     _copy(out, r)
 
 
 @njit(cache=True, error_model="numpy")
 def _carry(P, F, n, scratch):
-    """Replace P by F P F^T; F may be sparse."""
+    """Replace P by F P F^T; F may be sparse. Rows are added up, which a processor does four at a time."""
     for i in range(n):
         for j in range(n):
             scratch[i, j] = 0.0
@@ -128,12 +125,16 @@ def _carry(P, F, n, scratch):
                 for j in range(n):
                     scratch[i, j] += f * P[k, j]
     for i in range(n):
-        for j in range(i, n):
+        for j in range(i):
+            scratch[i, j], scratch[j, i] = scratch[j, i], scratch[i, j]
+    for i in range(n):
+        for j in range(n):
             P[i, j] = 0.0
         for k in range(n):
-            s = scratch[i, k]
-            for j in range(i, n):
-                P[i, j] += s * F[j, k]
+            f = F[i, k]
+            if f != 0.0:
+                for j in range(n):
+                    P[i, j] += f * scratch[k, j]
     for i in range(n):
         for j in range(i):
             P[i, j] = P[j, i]
@@ -147,10 +148,11 @@ def _update(P, h, n, z, variance, gain, delta):
     """
     s = variance
     for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += P[i, j] * h[j]
-        gain[i] = total
+        gain[i] = 0.0
+    for j in range(n):
+        if h[j] != 0.0:
+            for i in range(n):
+                gain[i] += h[j] * P[j, i]
     for i in range(n):
         s += h[i] * gain[i]
         z -= h[i] * delta[i]
@@ -160,6 +162,20 @@ def _update(P, h, n, z, variance, gain, delta):
         for j in range(n):
             P[i, j] -= k * gain[j]
     return 0.5 * (z * z / s + math.log(s))
+
+
+@njit(cache=True, error_model="numpy")
+def _update_entry(P, at, n, z, variance, gain, delta):
+    """Scalar Kalman update by a measurement of one entry of the state, else as :func:`_update`."""
+    for i in range(n):
+        gain[i] = P[i, at]
+    s = variance + gain[at]
+    z -= delta[at]
+    for i in range(n):
+        k = gain[i] / s
+        delta[i] += k * z
+        for j in range(n):
+            P[i, j] -= k * gain[j]
 
 
 @njit(cache=True, error_model="numpy")
@@ -304,7 +320,7 @@ def reduce_samples(acc, dt, gyro_b, accel_b, period, steps, ends):
             acc[A_POSITION + i] += t * (acc[A_DVEL + i] + 0.5 * gain)
             acc[A_DVEL + i] += gain
         _rotation(x, y, z, turn)
-        _multiply(r, turn, 3, both)
+        _multiply(r, turn, both)
         r, both = both, r
         acc[A_DT] += t
         if acc[A_DT] >= period - 0.5 * t:
@@ -366,7 +382,7 @@ def run_coarse(c, sums, bias, steps):
                                   + r[i, 2] * (step[STEP_DVEL + 2] - bias[5] * t))
         _rotation(step[STEP_DTHETA] - bias[0] * t, step[STEP_DTHETA + 1] - bias[1] * t,
                   step[STEP_DTHETA + 2] - bias[2] * t, turn)
-        _multiply(r, turn, 3, both)
+        _multiply(r, turn, both)
         r, both = both, r
         middle = sums[O_TIME] + 0.5 * t
         _rotation(c[C_EARTH_NORTH] * middle, 0.0, c[C_EARTH_DOWN] * middle, turn)
@@ -402,7 +418,7 @@ def group_step(model, c, R, m, step, turn, half, after, F, H):
     ty = step[STEP_DTHETA + 1] - m[M_BG + 1] * t
     tz = step[STEP_DTHETA + 2] - m[M_BG + 2] * t
     _rotation(0.5 * tx, 0.5 * ty, 0.5 * tz, turn)
-    _multiply(R, turn, 3, half)
+    _multiply(R, turn, half)
 
     gain, bias, force = after[1], after[2], after[3]
     # The steps were summed up with the gyros' bias in: on average half of what it turns by, a third for the mean.
@@ -461,9 +477,9 @@ def group_step(model, c, R, m, step, turn, half, after, F, H):
                     F[4, 6 + j] = -0.5 * t * t * g * total
                 elif i == 1:
                     F[3, 6 + j] = 0.5 * t * t * g * total
-    _multiply(half, turn, 3, after[4:7])
+    _multiply(half, turn, after[4:7])
     _rotation(-t * wx, -t * wy, -t * wz, turn)
-    _multiply(turn, after[4:7], 3, half)
+    _multiply(turn, after[4:7], half)
     if n == 12:
         for i in range(3):
             for j in range(3):
@@ -488,7 +504,7 @@ def _correct_group(model, R, m, delta, turn, scratch):
     """Take the estimated error off attitude, velocity and biases."""
     x, y, z = -delta[0], -delta[1], -delta[2]
     _rotation(x, y, z, turn)
-    _multiply(turn, R, 3, scratch)
+    _multiply(turn, R, scratch)
     _copy(scratch, R)
     if model == MEKF:
         for i in range(3):
@@ -662,15 +678,14 @@ def model_rate(c, n, x, f, R, out):
 
 @njit(cache=True, error_model="numpy")
 def model_jacobian(c, n, x, f, R, A):
-    """Fill A (n, n) with the Jacobian of :func:`model_rate`.
+    """Fill A (n, n) with the Jacobian of :func:`model_rate`; beside diagonal and model it must be zero already.
 
     Mended: taken at the force that agrees with the model, (g phiE, -g phiN, -g), which makes A15 = A25 = 0.
     """
     cs, sn = math.cos(x[4]), math.sin(x[4])
     wn, wd, radius = c[C_EARTH_NORTH], c[C_EARTH_DOWN], c[C_RADIUS]
     for i in range(n):
-        for j in range(n):
-            A[i, j] = 0.0
+        A[i, i] = 0.0
     f_down = f[2]
     if c[C_MENDED] != 0.0:
         f_down = -c[C_GRAVITY]
@@ -714,11 +729,11 @@ def strapdown_step(c, R, m, dt, gyro_b, accel_b, bias, turn, scratch):
     y = 0.5 * dt * (gyro_b[1] - bias[1])
     z = 0.5 * dt * (gyro_b[2] - bias[2])
     _rotation(x, y, z, turn)
-    _multiply(R, turn, 3, scratch)
+    _multiply(R, turn, scratch)
     fx, fy, fz = accel_b[0] - bias[3], accel_b[1] - bias[4], accel_b[2] - bias[5]
     for i in range(3):
         m[M_FORCE + i] = scratch[i, 0] * fx + scratch[i, 1] * fy + scratch[i, 2] * fz
-    _multiply(scratch, turn, 3, R)
+    _multiply(scratch, turn, R)
     north = m[M_FORCE] + (wz + c[C_EARTH_DOWN]) * m[M_V + 1]
     east = m[M_FORCE + 1] - (wz + c[C_EARTH_DOWN]) * m[M_V]
     # Half of the frame's turn during the sample.
@@ -726,7 +741,7 @@ def strapdown_step(c, R, m, dt, gyro_b, accel_b, bias, turn, scratch):
     m[M_V] += dt * (north - h * (wy * m[M_FORCE + 2] - wz * m[M_FORCE + 1]))
     m[M_V + 1] += dt * (east - h * (wz * m[M_FORCE] - wx * m[M_FORCE + 2]))
     _rotation(-dt * wx, -dt * wy, -dt * wz, turn)
-    _multiply(turn, R, 3, scratch)
+    _multiply(turn, R, scratch)
     _copy(scratch, R)
 
 
@@ -960,12 +975,11 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
     """
     n = 5 if model in (EKF5, IPEKF) else 10
     loop = not (model == IPEKF and c[C_VARIANT] == PAPER_LITERAL) and c[C_FEEDBACK_PERIOD] > 0.0
-    A, scratch, points = np.empty((10, 10)), np.zeros((10, 10)), np.empty((21, 10))
+    A, scratch, points = np.zeros((10, 10)), np.zeros((10, 10)), np.empty((21, 10))
     turn, small = np.empty((3, 3)), np.empty((3, 3))
     rate, increment = np.empty(10), np.zeros(5)
     delta, gain, bias = np.empty(10), np.empty(10), np.empty(6)
-    h, z, s = np.zeros((2, 10)), np.empty(2), np.empty(2)
-    h[0, 0] = h[1, 1] = 1.0
+    z, s = np.empty(2), np.empty(2)
     x = m[M_X:M_X + 10]
     f = m[M_FORCE:M_FORCE + 3]
     for k in range(len(dt)):
@@ -1028,8 +1042,8 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
             if weight > 0.0:
                 for i in range(n):
                     delta[i] = 0.0
-                _update(P, h[0], n, z[0], variance / weight, gain, delta)
-                _update(P, h[1], n, z[1], variance / weight, gain, delta)
+                for i in range(2):
+                    _update_entry(P, i, n, z[i], variance / weight, gain, delta)
                 for i in range(n):
                     x[i] += delta[i]
                 alarm = _adapt(z, s, 2, c, q)

@@ -49,8 +49,8 @@ _REPEAT_CHANGE = 0.02  # rad of heading, beyond which it is worth while to make 
 _CHECKPOINT_TIME = 5.0  # s; motion takes back the zero velocities of the last one or two
 _LARGEST_SWING = 0.2  # rad that the heading has been corrected by, after which that does not wait
 _REPEATS = 4  # at most, each time
-# A gyro's bias that may be this share of the horizontal Earth rate, or more, wants a mixture of headings: one filter that
-# knows nothing of the heading would swing, and take its swings for evidence.
+# A gyro's bias that may be this share of the horizontal Earth rate, or more, wants a mixture of headings: one filter
+# that knows nothing of the heading would swing, and take its swings for evidence.
 _LARGE_BIAS = 0.25
 _HEADINGS = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
 _HEADING_STD = math.radians(15.0)  # of each: half their distance adds up to a uniform density within 3 %
@@ -227,8 +227,8 @@ class StandingAligner:
         if self._filter is None:
             return "the coarse alignment is under way" if self._sums[kernels.O_TIME] else "no second at rest yet"
         if self.result.heading_std > _UNKNOWN:
-            cure = "rotate the IMU, with zero_velocity_while_turning" if self._drowned else "turn the vehicle or the IMU"
-            return f"the gyros' biases hide the Earth rate: {cure}"
+            return "the gyros' biases hide the Earth rate: " + (
+                "rotate the IMU, with zero_velocity_while_turning" if self._drowned else "turn the vehicle or the IMU")
         return ""
 
     @property
@@ -528,8 +528,9 @@ class StandingAligner:
     def _run_again(self, q_start):
         """Run the filter over all remembered steps from ever better first attitudes."""
         steps = np.array(self._steps)
-        for _ in range(_REPEATS):
-            if self._filter.q[kernels.Q_TIME] > 0.0 and self._apart(q_start) < _REPEAT_CHANGE:
+        for again in range(_REPEATS):
+            known = again if self._mixed else self._filter.q[kernels.Q_TIME] > 0.0
+            if known and self._apart(q_start) < _REPEAT_CHANGE:
                 return
             self._linearised_at, off = q_start, 0.0
             if self._mixed:
@@ -549,13 +550,16 @@ class StandingAligner:
         return found
 
     def _use_rest(self, steps, dcm_nb):
-        """Take the mean rate until the first turn for the gyros' bias, where the prior knows less than the Earth rate."""
+        """Take the mean rate until the first turn for the gyros' bias, of which the prior knows less."""
         time = np.cumsum(steps[:, kernels.STEP_DT])
-        edges = np.searchsorted(time, np.arange(0.0, time[-1] - 0.5 * _REST_BLOCK, _REST_BLOCK))
+        edges = np.searchsorted(time, np.arange(0.0, max(time[-1], _REST_BLOCK) - 0.5 * _REST_BLOCK, _REST_BLOCK))
         rates = np.add.reduceat(steps[:, kernels.STEP_DTHETA:kernels.STEP_DVEL], edges) / np.add.reduceat(
             steps[:, kernels.STEP_DT], edges)[:, None]
         turns = np.linalg.norm(rates - rates[0], axis=1) > 4 * _SWAY_ANGLE / _REST_BLOCK
-        count = int(np.argmax(turns)) if turns.any() else len(rates)
+        # A turn may have begun in the block before it shows.
+        count = (int(np.argmax(turns)) if turns.any() else len(rates)) - 1
+        if count < 1:
+            return
         self._biases[:3] = rates[:count].mean(axis=0)
         bias_var = EARTH_RATE ** 2 + (_SWAY_ANGLE / (count * _REST_BLOCK)) ** 2
         self._bias_covariance = bias_priors(self.params, dcm_nb)

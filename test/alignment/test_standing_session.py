@@ -3,6 +3,7 @@
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 
 from alignment.standing.params import STANDING_METHODS, StandingParams
@@ -10,6 +11,7 @@ from alignment.standing_session import StandingSession
 from inertial.earth import STANDARD_GRAVITY
 from inertial.parked_scenarios import GRADES, simulate_parked
 from inertial.recording import ImuSeries
+from inertial.rotation import quaternion_conjugate, quaternion_log, quaternion_multiply
 from inertial.table_scenarios import HEADING, LATITUDE
 
 ERRORS = GRADES["navigation"].errors
@@ -68,6 +70,28 @@ def test_a_latitude_that_comes_later_begins_the_alignment(turned):
     assert fed(session, turned)[0][:2] == ["waiting", "coarse"] and "latitude is not known" in session.refusal
     session.params = PARAMS
     assert session.phase == "waiting" and "latitude" not in session.refusal
+
+
+@pytest.fixture(scope="module")
+def moved():
+    """Return a vehicle that drives off in the middle of two minutes; it creeps unnoticed at first."""
+    return simulate_parked("parked_navigation_moved", duration=120.0, imu_rate=50.0, seed=1)
+
+
+def test_a_drive_is_borne_by_a_filter_that_carries_a_velocity(moved):
+    """Level and heading are those of the new place all the same."""
+    session = StandingSession(PARAMS)
+    phases, remarks = fed(session, moved)
+    assert phases.count("coarse") == 1 and not any("driven" in text for text in remarks)
+    last = np.searchsorted(moved.truth.stamp_ns, session.result.stamp_ns, side="right") - 1
+    truth = moved.truth.q_nb_wxyz[last]
+    error = quaternion_log(quaternion_multiply(session.result.q_nb_wxyz, quaternion_conjugate(truth)))
+    assert error @ np.linalg.solve(session.result.covariance, error) < SIGMAS ** 2
+
+
+def test_a_drive_begins_an_error_model_anew(moved):
+    phases, remarks = fed(StandingSession(dataclasses.replace(PARAMS, method="ekf10")), moved)
+    assert phases.count("coarse") == 2 and any("driven" in text for text in remarks)
 
 
 def test_a_wrong_unit_is_told_apart_from_other_refusals(turned):

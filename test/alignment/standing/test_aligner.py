@@ -151,12 +151,44 @@ def test_refusals_say_why(made_up, changes, scale, text):
         assert aligner.input_error
 
 
-def test_biases_that_hide_the_earth_rate_are_never_aligned(made_up):
+@pytest.mark.parametrize(("deg_per_hour", "cure"), [(10.0, "turn the vehicle"), (720.0, "rotate the IMU")])
+def test_biases_that_hide_the_earth_rate_are_never_aligned(made_up, deg_per_hour, cure):
     imu, _ = made_up.imu(made_up.tactical, 60.0, rate=RATE)
-    aligner = StandingAligner(made_up.params(made_up.tactical, gyro_bias_std=math.radians(10 / 3600), **COARSE))
+    bias_std = math.radians(deg_per_hour / 3600)
+    aligner = StandingAligner(made_up.params(made_up.tactical, gyro_bias_std=bias_std, **COARSE))
     aligner.run(imu)
-    assert aligner.phase == "fine" and "hide the Earth rate" in aligner.refusal
+    assert aligner.phase == "fine" and "hide the Earth rate" in aligner.refusal and cure in aligner.refusal
     assert aligner.result.time_left == math.inf
+
+
+def test_biases_near_the_earth_rate_make_no_false_sigma(made_up):
+    """At 5 deg/h a bias may cancel half of the Earth's horizontal rate: then sigma is more than a linear one."""
+    grade = replace(made_up.tactical, gyro_bias=math.radians(5 / 3600))
+    z = []
+    for seed in range(SEEDS):
+        imu, dcm_nb = made_up.imu(grade, 50.0, seed=seed, heading=0.5 * seed, rate=RATE)
+        aligner = StandingAligner(made_up.params(grade, **COARSE))
+        aligner.run(imu)
+        z.append(made_up.error(aligner.result.heading, dcm_nb) / aligner.result.heading_std)
+    assert MEAN_SQUARE[0] < np.mean(np.square(z)) < MEAN_SQUARE[1] and np.abs(z).max() < SIGMAS
+
+
+def test_who_steps_in_does_not_end_the_coarse_alignment(made_up):
+    """The body rolls to and fro by 10 mrad, faster than a turn is allowed to be, and its top moves by as much."""
+    imu, dcm_nb = made_up.imu(made_up.navigation, 40.0, rate=RATE)
+    elapsed = np.maximum(imu.stamp_ns * 1e-9 - 8.0 - 0.5 / RATE, 0.0)
+    roll = 0.01 * np.exp(-elapsed / 0.6) * np.sin(2 * math.pi * 1.3 * elapsed)
+    rate, acceleration = np.gradient(roll, 1 / RATE), np.gradient(np.gradient(roll, 1 / RATE), 1 / RATE)
+    turned = np.swapaxes(dcm_nb_from_euler(roll, 0.0, 0.0), -1, -2)
+    gyro_b = np.einsum("kij,kj->ki", turned, imu.gyro_b)
+    accel_b = np.einsum("kij,kj->ki", turned, imu.accel_b)
+    gyro_b[:, 0] += rate
+    accel_b[:, 1] += acceleration
+    aligner = StandingAligner(made_up.params(made_up.navigation, zero_velocity_std=5e-3, **COARSE))
+    assert np.abs(rate).max() > aligner.params.largest_rate
+    phases = [phase for phase, _ in aligner.run(ImuSeries(imu.stamp_ns, gyro_b, accel_b))]
+    assert phases[2:19] == 17 * ["coarse"] and set(phases[21:]) <= {"fine", "aligned"}
+    assert abs(made_up.error(aligner.result.heading, dcm_nb)) < SIGMAS * aligner.result.heading_std
 
 
 def test_attitude_that_contradicts_the_residuals_is_given_up(made_up):
