@@ -416,7 +416,7 @@ def flight_section(seeds, plots, duration=120.0):
     figures = {name: rms(np.array(values)[:, late]) for name, values in tilt.items()}
     cascade_name = next(name for name in tilt if name.startswith("cascade"))
     limits = {cascade_name: CASCADE_LIMITS["tilt, deg"], "eskf15": ESKF_TILT_LIMIT}
-    rows = [(name, f"{value:.2f}", page[name], limits.get(name, ""),
+    rows = [(name, f"{value:.3f}", page[name], limits.get(name, ""),
              verdict(value <= limits[name]) if name in limits else "") for name, value in figures.items()]
     along = {name: rms(values) for name, values in others.items()}
     along_rows = [(name, f"{value:.3f}", CASCADE_LIMITS[name], verdict(value <= CASCADE_LIMITS[name]))
@@ -572,7 +572,7 @@ def claims_section(figures):
         ("two filters in a row give nine states (abstract; what its equations estimate is told in "
          "[helicopter.md](helicopter.md))", "attitude, velocity and position: confirmed, once the attitude is aided by "
          "more than the force and the second filter has a state for the acceleration's error (tables above); one "
-         f"filter of 15 states is better in tilt ({eskf:.2f} against {cascade:.2f} deg)"),
+         f"filter of 15 states is better in tilt ({eskf:.3f} against {cascade:.3f} deg)"),
         ("an inclinometer corrects the gyros",
          f"only a true one: the accelerometer in its place leaves {force:.1f} deg in flight, chosen by its size "
          f"{gated:.1f} deg"),
