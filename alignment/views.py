@@ -81,7 +81,7 @@ class TableView:
 
     inputs = ("joints", "imu")
     """Keys of :data:`nav_ros.bags.TOPICS`; of messages that wait together, those of the first come first."""
-    setback = "dwell_rejected"
+    setback = "disturbed"
     """Name of the counter of what has gone wrong."""
 
     def __init__(self, params, live=True):
