@@ -35,6 +35,7 @@ from nav_ros.estimated import attitude_run
 from nav_ros.plots import attitude_picture
 from nav_ros.report import Figure, score_figures, summary_of, text_table, write_report
 from nav_ros.resources import bundled_bag, bundled_config, executable
+from nav_ros.sensor_loop import init_interruptible
 
 SIGMA_RATIO = (0.7, 1.2)  # error over what the filter predicts: below it is timid, above it overconfident
 COVERAGE = 0.98  # of the time within three sigma
@@ -177,7 +178,7 @@ def replay_and_listen(bag, expected, rate, folder, progress):
     """
     table_arguments = ["--ros-args", "-r", f"__ns:={TABLE}"]
     with contextlib.ExitStack() as cleanup:
-        rclpy.init()
+        init_interruptible()
         cleanup.callback(rclpy.try_shutdown)
         node = rclpy.create_node("attitude_demo", enable_rosout=False, start_parameter_services=False)
         cleanup.callback(node.destroy_node)
