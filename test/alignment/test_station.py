@@ -14,7 +14,7 @@ from alignment.params import AlignmentParams
 from alignment.results import Quality, wrap_angle
 from alignment.sequences import FOUR_POSITIONS, indexed_schedule
 from alignment.station import TableAlignment
-from alignment.turntable import TriadErrors, Turntable, exact_readings, simulate_readings
+from alignment.turntable import TriadErrors, Turntable, earth_direction_t, exact_readings, simulate_readings
 
 DEG = np.pi / 180
 LATITUDE = 35 * DEG
@@ -229,3 +229,16 @@ def test_overlapping_dwells_are_refused():
     assert station.add(overlapping) == "it overlaps the dwell before"
     station.reset()
     assert (station.dwells, station.rejected) == ((), [])
+
+
+def test_while_two_headings_fit_the_table_looks_where_they_differ_most():
+    rng, table = np.random.default_rng(14), _table(80.0, 10.0, 40.0)
+    station = TableAlignment(dataclasses.replace(PARAMS, coarse_time=50.0, gyro_noise_density=3e-5))
+    for angle in FOUR_POSITIONS:
+        _add(station, table, angle, rng)
+    north = station.result().north
+    assert north.flags == Quality.AMBIGUOUS
+    here, there = (earth_direction_t(table.roll, table.pitch, heading, LATITUDE)[:2] for heading in north.branches)
+    wanted = station.next_angle()
+    difference = np.array([math.cos(wanted), math.sin(wanted)]) @ (here - there)
+    assert abs(difference) == pytest.approx(np.linalg.norm(here - there), rel=1e-3)
