@@ -211,7 +211,7 @@ class AlignmentNode(SensorNode):
 
 def main():
     """Run the node until it is interrupted or shut down; return its exit status."""
-    return run_sensor_node("alignment_node", AlignmentNode)
+    return run_sensor_node("alignment_node", AlignmentNode, AlignmentNodeParams, __doc__)
 
 
 if __name__ == "__main__":

@@ -298,7 +298,7 @@ class AttitudeNode(SensorNode):
 
 def main():
     """Run the node until it is interrupted or shut down; return its exit status."""
-    return run_sensor_node("attitude_node", AttitudeNode)
+    return run_sensor_node("attitude_node", AttitudeNode, AttitudeNodeParams, __doc__)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ old value is kept and the caller gets the reason.
 import dataclasses
 import difflib
 import math
+import textwrap
 from pathlib import Path
 
 # ROS gives these to every node, so they may stand in a file that an offline tool reads.
@@ -175,6 +176,26 @@ def parameter_table(params_class, prefix=""):
         rows.append(f"| `{prefix}{field.name}` | {_text(field.default)} | {meta['unit'] or '-'} | "
                     f"{_range_text(meta)} | {description} |")
     return rows
+
+
+def node_help(program, text, params_class):
+    """Return what a node prints when it is asked for ``--help``.
+
+    Parameters
+    ----------
+    program : str
+    text : str
+        What it does.
+    params_class : type
+    """
+    lines = [f"usage: {program} [--ros-args [-p PARAMETER:=VALUE] [-r TOPIC:=OTHER] [--params-file FILE]]", "",
+             text.strip(), "", "parameters:"]
+    for field in dataclasses.fields(params_class):
+        meta = field.metadata
+        facts = [f"default {_text(field.default)} {meta['unit'] or ''}".strip(), _range_text(meta)]
+        lines += [f"  {field.name} ({'; '.join(filter(None, facts))})",
+                  *textwrap.wrap(meta["description"], 110, initial_indent="      ", subsequent_indent="      ")]
+    return "\n".join(lines)
 
 
 def _converted(field, value):

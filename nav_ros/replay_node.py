@@ -29,9 +29,9 @@ from inertial.parameters import check_parameters, parameter
 from inertial.recording import Recording
 from nav_ros.bags import TOPICS, BagError, BagReader
 from nav_ros.messages import IMU, encode_clock
-from nav_ros.parameters import declare_parameters
+from nav_ros.parameters import declare_parameters, node_help
 from nav_ros.recorded import recorded_messages
-from nav_ros.sensor_loop import init_interruptible, served
+from nav_ros.sensor_loop import asks_for_help, init_interruptible, served
 
 CLOCK_PERIOD_NS = 10_000_000
 NAP_NS = 100_000_000  # longest sleep, so that a pause or the end is noticed
@@ -348,6 +348,9 @@ class ReplayNode(Node):
 
 def main(arguments=None):
     """Run the node; return its exit status."""
+    if asks_for_help():
+        print(node_help("replay_node", __doc__, ReplayParams))
+        return 0
     node = None
     try:
         init_interruptible(arguments)

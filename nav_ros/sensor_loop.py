@@ -20,6 +20,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
+from nav_ros.parameters import node_help
+
 HOUSEKEEPING = 0.05  # s from one turn of the executor to the next
 BACKLOG = 1000  # messages served in a row
 
@@ -48,8 +50,13 @@ def init_interruptible(arguments=None):
         signal.signal(number, signal.default_int_handler)
 
 
-def run_sensor_node(name, node_class):
-    """Run a node with fast sensors until it is interrupted or shut down.
+def asks_for_help():
+    """Whether the command line does."""
+    return not {"-h", "--help"}.isdisjoint(sys.argv[1:])
+
+
+def run_sensor_node(name, node_class, params_class, text):
+    """Run a node with fast sensors until it is interrupted or shut down; ``--help`` tells what it does.
 
     Parameters
     ----------
@@ -58,12 +65,18 @@ def run_sensor_node(name, node_class):
     node_class : type
         Of :class:`nav_ros.sensor_node.SensorNode`, made without arguments; a ValueError or a parameter of the wrong
         type ends the start.
+    params_class : type
+    text : str
+        What the node does.
 
     Returns
     -------
     int
         Exit status: 0, or 2 after one line about what is wrong with the arguments or parameters.
     """
+    if asks_for_help():
+        print(node_help(name, text, params_class))
+        return 0
     try:
         init_interruptible()
         others = remove_ros_args(sys.argv)[1:]

@@ -156,7 +156,7 @@ class NavigationNode(SensorNode):
 
 def main():
     """Run the node until it is interrupted or shut down; return its exit status."""
-    return run_sensor_node("navigation_node", NavigationNode)
+    return run_sensor_node("navigation_node", NavigationNode, NavigationNodeParams, __doc__)
 
 
 if __name__ == "__main__":

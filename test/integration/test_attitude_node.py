@@ -1,5 +1,6 @@
 """attitude_node as a real process: what it publishes, its parameters, services, names, time and end."""
 
+import importlib
 import math
 import re
 import signal
@@ -264,6 +265,18 @@ def test_a_wrong_start_is_told_in_one_line(bench, arguments, reason):
     assert last.startswith("attitude_node: ") and reason in last, node.said
     # rcl logs a line of its own about arguments that it cannot parse.
     assert all("[rcl]" in line for line in others), node.said
+
+
+@pytest.mark.parametrize(("module", "told"), [
+    ("attitude_estimator.node", "gyro_noise_density (default 0.0022 rad/s/sqrt(Hz); 0 to 1)"),
+    ("attitude_estimator.navigation.node", "antenna_position (default [0, 0, 0] m; -1000 to 1000)"),
+    ("alignment.node", "latitude (default .nan rad;"),
+    ("nav_ros.replay_node", "lockstep_topic (default \"\")")])
+def test_help_tells_what_it_does_and_its_parameters(module, told, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["node", "--help"])
+    assert importlib.import_module(module).main() == 0
+    said = capsys.readouterr().out
+    assert said.startswith("usage: ") and told in said and said.count("_node: ") == 1
 
 
 def test_signals_end_it_while_data_flow_and_before(bench, turn_bag):
