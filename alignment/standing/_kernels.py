@@ -55,7 +55,7 @@ CONSTANT_NAMES = (
 NOTHING, MOVED, STANDS, ALARM = range(4)  # what a run stopped for
 
 SMALL_SQUARE = 1e-4  # rad^2, below which three terms of sine and cosine reach 1e-15
-FLICKER = 2.0  # growth of a bias variance with the logarithm of time, in squares of the Allan deviation floor
+FLICKER = 2.5  # growth of a bias variance with the logarithm of time, in squares of the Allan deviation floor
 AFTER_TURN = 10.0  # s that count as passed at the end of a turn
 HUBER = 2.0  # standard deviations within which a zero velocity has its full weight
 GATE = 8.0  # standard deviations beyond which it is no zero velocity
