@@ -227,8 +227,8 @@ class StandingAligner:
         if self._filter is None:
             return "the coarse alignment is under way" if self._sums[kernels.O_TIME] else "no second at rest yet"
         if self.result.heading_std > _UNKNOWN:
-            return "the gyros' biases hide the Earth rate: " + (
-                "rotate the IMU, with zero_velocity_while_turning" if self._drowned else "turn the vehicle or the IMU")
+            how = ", with zero_velocity_while_turning" if self._drowned else ""
+            return f"the gyros' biases hide the Earth rate: turn the vehicle or the IMU{how}"
         return ""
 
     @property
@@ -247,7 +247,7 @@ class StandingAligner:
 
     @property
     def _drowned(self):
-        """Whether the Earth rate is less than a bias and nothing rotates: one half turn does not make up for that."""
+        """Whether the Earth rate is less than a bias, and no turn that tells them apart keeps the velocity."""
         return self.params.gyro_bias_spread > EARTH_RATE and not self.params.zero_velocity_while_turning
 
     @property

@@ -151,7 +151,7 @@ def test_refusals_say_why(made_up, changes, scale, text):
         assert aligner.input_error
 
 
-@pytest.mark.parametrize(("deg_per_hour", "cure"), [(10.0, "turn the vehicle"), (720.0, "rotate the IMU")])
+@pytest.mark.parametrize(("deg_per_hour", "cure"), [(10.0, "or the IMU"), (720.0, "with zero_velocity_while_turning")])
 def test_biases_that_hide_the_earth_rate_are_never_aligned(made_up, deg_per_hour, cure):
     imu, _ = made_up.imu(made_up.tactical, 60.0, rate=RATE)
     bias_std = math.radians(deg_per_hour / 3600)
