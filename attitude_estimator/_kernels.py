@@ -921,6 +921,7 @@ def _take_imu(m, ints, stamp, wx, wy, wz, fx, fy, fz):
     known = gyro_ok and force_ok
     if known:
         gyro_var, accel_var = _suspicion(m, ints, dt, wx, wy, wz, fx, fy, fz, rate, force)
+        known = force <= CLIP_SHARE * m[P_ACCEL_RANGE]
     _remember(m, ints, stamp, dt, wx, wy, wz, fx, fy, fz, gyro_var, accel_var, known)
     _advance(m, ints, ints[I_HEAD])
     return True

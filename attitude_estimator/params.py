@@ -72,7 +72,7 @@ class LevelParams:
         0.7, "", "share of a residual that lasts, beyond what tilt may be off, that counts as acceleration",
         0.0, 10.0)
     gravity_lasting_share_alone: float = parameter(
-        0.2, "", "the same without an altimeter, where gravity alone would show a tilt that is off", 0.0, 10.0)
+        0.1, "", "the same without an altimeter, where gravity alone would show a tilt that is off", 0.0, 10.0)
     gravity_start_std: float = parameter(
         4.7, "m/s^2", "distrust of gravity in the first second", 0.0, 50.0)
     gravity_bias_share: float = parameter(

@@ -187,7 +187,7 @@ def test_other_topics_without_a_fix_and_what_cannot_be_read(flight_bag, tmp_path
 
     out = tmp_path / "none"
     for arguments, reason in (
-            ([tmp_path / "other", out], "no topic /imu/data_raw; topics there: /my/imu, /my/velocity"),
+            ([tmp_path / "other", out], "no topic /imu/data_raw (sensor_msgs/msg/Imu is on /my/imu); topics there"),
             ([flight_bag, out, "--topic", "fix:=/velocity"], "expected sensor_msgs/msg/NavSatFix"),
             ([flight_bag, out, "-p", "fix_stdd:=1.0"], "did you mean fix_std?"),
             ([flight_bag, out, "-p", "fix_std:=-1.0"], "fix_std = -1.0 m: must be from"),
