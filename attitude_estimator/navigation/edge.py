@@ -147,7 +147,7 @@ class NavigationSession:
         self.check.up_imu = self.messages.mounting.up_imu
 
     def reset(self):
-        """Start anew; the next fix is the origin."""
+        """Start anew; the first fix that the next one confirms is the origin."""
         self.estimator.reset()
         self._altimeter_ns.clear()
 

@@ -94,7 +94,7 @@ class NavigationNode(SensorNode):
 
     def _on_reset(self, _request, response):
         self._session.reset()
-        response.success, response.message = True, "starts anew; the next fix is the origin"
+        response.success, response.message = True, "starts anew; the origin is the first fix that the next one confirms"
         return response
 
     # --- diagnostics
