@@ -110,7 +110,8 @@ SNAPSHOTS = 16
  P_GYRO_RANGE, P_ACCEL_RANGE, P_ALT_BUFFER, P_GAP_LIMIT) = range(M_PARAMETERS, M_OUT)
 
 ACTION_USE, ACTION_SKIP, ACTION_RESET = range(3)  # what to do with a sample of a recording
-OLD, STALE, FRESH = range(3)  # what became of a sample: not later than the last, no output, output
+# What became of a sample: not of three values, not later than the last, no output, output.
+MISSHAPEN, OLD, STALE, FRESH = range(4)
 
 REST_TIME = 1.5  # s of stillness that count as rest
 LOWPASS_TIME = 0.5  # s
@@ -1042,6 +1043,8 @@ def _rewind(m, ints, back):
 def push_imu(m, stamp, gyro_b, accel_b):
     """Take one sample as it comes; the output row is in the memory where FRESH is returned."""
     ints = _integers(m)
+    if len(gyro_b) != 3 or len(accel_b) != 3:
+        return MISSHAPEN
     if ints[I_STORED] > 0 and stamp <= ints[I_LAST_STAMP]:
         return OLD
     if not _take_imu(m, ints, stamp, gyro_b[0], gyro_b[1], gyro_b[2], accel_b[0], accel_b[1], accel_b[2]):

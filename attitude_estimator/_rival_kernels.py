@@ -55,7 +55,7 @@ I_SIZE = I_COUNTS + len(FAULTS)
  ROW_SIZE) = _offsets(4, 3, 1, 3, 1, 1, 1, 1, 1, 3, 3)
 
 ACTION_USE, ACTION_SKIP, ACTION_RESET = range(3)
-OLD, STALE, FRESH = range(3)
+MISSHAPEN, OLD, STALE, FRESH = range(4)
 
 START_TILT_STD = 0.2  # rad, of an attitude taken from one force
 VD_STD, ALT_STD = 2.0, 5.0  # m/s and m, at the start
@@ -696,6 +696,8 @@ def _vector_ok(ints, not_finite, out_of_range, limit, v):
 @compiled
 def push_imu(m, ints, stamp, gyro_b, accel_b):
     """Take one sample; FRESH where there is a new estimate."""
+    if len(gyro_b) != 3 or len(accel_b) != 3:
+        return MISSHAPEN
     if ints[I_CLOCK] == 1 and stamp <= ints[I_LAST_STAMP]:
         return OLD
     w = (gyro_b[0], gyro_b[1], gyro_b[2])

@@ -202,10 +202,12 @@ class AttitudeEstimator:
         ------
         TimeJumpError
             When the stamp is not later than the one before.
+        ValueError
+            When a sample has not three values.
         """
         done = kernels.push_imu(self._memory, stamp_ns, gyro_b, accel_b)
-        if done == kernels.OLD:
-            self._complain(stamp_ns)
+        if done < kernels.STALE:
+            refuse_sample(self._ints[kernels.I_LAST_STAMP], stamp_ns, gyro_b, accel_b)
         return done == kernels.FRESH
 
     def add_altitude(self, stamp_ns, altitude, variance=0.0):
@@ -285,13 +287,16 @@ class AttitudeEstimator:
         taken = kernels.run(self._memory, imu.stamp_ns, imu.gyro_b, imu.accel_b, actions,
                             stamps, values, variances, arrival, rows, fresh)
         if taken < len(imu):
-            self._complain(imu.stamp_ns[taken])
+            refuse_sample(self._ints[kernels.I_LAST_STAMP], imu.stamp_ns[taken], imu.gyro_b[taken], imu.accel_b[taken])
         if fresh.any():
             self._memory[kernels.M_OUT:kernels.M_INTS] = rows[np.flatnonzero(fresh)[-1]]
         if fresh.all():
             return Estimates(imu.stamp_ns, rows), fresh
         return Estimates(imu.stamp_ns[fresh], rows[fresh]), fresh
 
-    def _complain(self, stamp_ns):
-        last = self._ints[kernels.I_LAST_STAMP]
-        raise TimeJumpError(f"IMU stamp {stamp_ns} ns is not later than {last} ns")
+
+def refuse_sample(last_ns, stamp_ns, gyro_b, accel_b):
+    """Raise what is wrong with a sample that a kernel did not take."""
+    if len(gyro_b) != 3 or len(accel_b) != 3:
+        raise ValueError(f"gyro_b and accel_b must have 3 values, got {len(gyro_b)} and {len(accel_b)}")
+    raise TimeJumpError(f"IMU stamp {stamp_ns} ns is not later than {last_ns} ns")

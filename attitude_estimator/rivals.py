@@ -29,7 +29,7 @@ import numpy as np
 
 from attitude_estimator import _kernels as layout
 from attitude_estimator import _rival_kernels as kernels
-from attitude_estimator.estimator import AttitudeEstimator, Estimates, FaultCounts, TimeJumpError
+from attitude_estimator.estimator import AttitudeEstimator, Estimates, FaultCounts, refuse_sample
 
 RIVALS = kernels.MODELS
 
@@ -104,8 +104,8 @@ class RivalEstimator:
     def add_imu(self, stamp_ns, gyro_b, accel_b):
         """Take one IMU sample; as :meth:`AttitudeEstimator.add_imu`."""
         done = kernels.push_imu(self._memory, self._ints, stamp_ns, gyro_b, accel_b)
-        if done == kernels.OLD:
-            self._complain(stamp_ns)
+        if done < kernels.STALE:
+            refuse_sample(self._ints[kernels.I_LAST_STAMP], stamp_ns, gyro_b, accel_b)
         if done == kernels.FRESH:
             self._valid = True
             kernels.write_row(self._memory, self._ints, self._row)
@@ -170,12 +170,8 @@ class RivalEstimator:
             self._valid = True
             self._row = rows[np.flatnonzero(fresh)[-1]].copy()
         if taken < len(imu):
-            self._complain(imu.stamp_ns[taken])
+            refuse_sample(self._ints[kernels.I_LAST_STAMP], imu.stamp_ns[taken], imu.gyro_b[taken], imu.accel_b[taken])
         return Estimates(imu.stamp_ns[fresh], _placed(rows[fresh], True)), fresh
-
-    def _complain(self, stamp_ns):
-        last = self._ints[kernels.I_LAST_STAMP]
-        raise TimeJumpError(f"IMU stamp {stamp_ns} ns is not later than {last} ns")
 
 
 def _placed(rows, valid):

@@ -313,6 +313,15 @@ def test_a_stamp_that_is_not_later_is_an_error_and_changes_nothing(back_ns):
     _stand(estimator, seconds=0.1, start=k)
 
 
+@MODELS
+def test_a_sample_that_has_not_three_values_is_an_error(model):
+    estimator = AttitudeEstimator(AttitudeParams(estimator=model))
+    for gyro_b, accel_b in ((np.ones(2), np.ones(3)), (np.ones(3), np.ones(4))):
+        with pytest.raises(ValueError, match=f"must have 3 values, got {len(gyro_b)} and {len(accel_b)}"):
+            estimator.add_imu(START_NS, gyro_b, accel_b)
+    assert estimator.faults == AttitudeEstimator().faults
+
+
 def test_a_recording_with_a_jump_back_is_an_error_unless_told_to_reset_or_skip():
     imu = _recording().imu
     stamp_ns = imu.stamp_ns.copy()
