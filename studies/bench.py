@@ -1,7 +1,7 @@
 """What estimates cost, beside other filters and beside a node that does nothing, in one run.
 
 ``make bench``, or ``python -m studies.bench kernels | nodes | offline | accuracy``. Times of a shared machine
-drift, so what is compared is measured in turn, several times, and the medians and their ratio are told. Writes
+drift, so what is compared is measured in turn, several times, and the least times and their ratio are told. Writes
 build/bench/<part>.json.
 """
 

@@ -48,6 +48,7 @@ from studies.timing import times_in_turn
 OUT = Path("docs/results")
 SEEDS = 20
 WORKERS = 2
+STEP_ROUNDS = 30
 DURATION = 1200.0  # s, the paper's
 SHORT = 300.0  # s, in which the product should be done
 HEADING_ERROR = 30 * DEG
@@ -893,7 +894,7 @@ def step_costs(count=3000):
             state.run_steps(steps, none)
         steps_of.samples = len(steps)
         functions[f"{name}, 10 Hz"] = steps_of
-    return times_in_turn(functions, count, process_time)
+    return times_in_turn(functions, count, process_time, STEP_ROUNDS)
 
 
 def formula_counts():

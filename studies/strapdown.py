@@ -535,7 +535,7 @@ def cost_section():
     rows = [(scheme, f"{cost:.2f}", f"{STEP_LIMIT:g}", _word(cost <= STEP_LIMIT))
             for scheme, cost in step_cost().items()]
     return ["## Cost", "", "A major step in a compiled run, its samples' compensation included, on the machine that "
-            "made this page (median of five rounds).", *table(("scheme", "us", "limit, us", "verdict"), rows)]
+            "made this page (least of five rounds).", *table(("scheme", "us", "limit, us", "verdict"), rows)]
 
 
 def main(argv=None):

@@ -1,13 +1,12 @@
-"""Timing on a shared machine: what is compared takes turns, and the medians count."""
+"""Timing on a shared machine: what is compared takes turns, and the least counts: others only add to it."""
 
-import statistics
 import time
 
 ROUNDS = 5
 
 
-def times_in_turn(functions, samples, clock=time.perf_counter):
-    """Return name -> median microseconds per sample.
+def times_in_turn(functions, samples, clock=time.perf_counter, rounds=ROUNDS):
+    """Return name -> least microseconds per sample.
 
     Parameters
     ----------
@@ -16,16 +15,17 @@ def times_in_turn(functions, samples, clock=time.perf_counter):
     samples : int
     clock : callable
         ``time.process_time`` leaves out what others do meanwhile; it is coarse, and blind to child processes.
+    rounds : int
     """
     for function in functions.values():
         function()
     taken = {name: [] for name in functions}
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         for name, function in functions.items():
             began = clock()
             function()
             taken[name].append((clock() - began) * 1e6 / getattr(function, "samples", samples))
-    return {name: statistics.median(times) for name, times in taken.items()}
+    return {name: min(times) for name, times in taken.items()}
 
 
 def print_table(title, values, reference):
