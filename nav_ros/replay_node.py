@@ -31,7 +31,7 @@ from nav_ros.bags import TOPICS, BagError, BagReader
 from nav_ros.messages import IMU, encode_clock
 from nav_ros.parameters import declare_parameters, node_help
 from nav_ros.recorded import recorded_messages
-from nav_ros.sensor_loop import asks_for_help, init_interruptible, served
+from nav_ros.sensor_loop import asks_for_help, init_interruptible, made, served
 
 CLOCK_PERIOD_NS = 10_000_000
 NAP_NS = 100_000_000  # longest sleep, so that a pause or the end is noticed
@@ -354,7 +354,7 @@ def main(arguments=None):
     node = None
     try:
         init_interruptible(arguments)
-        node = ReplayNode()
+        node = made(ReplayNode)
         warnings.showwarning = lambda message, *_args, **_kwargs: node.get_logger().warning(str(message))
         return _run(node)
     except (BagError, ValueError, OSError, ParameterException) as error:

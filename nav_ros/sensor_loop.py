@@ -16,6 +16,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
@@ -48,6 +49,24 @@ def init_interruptible(arguments=None):
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
+
+
+def made(node_class):
+    """Return a node of a class that takes no arguments.
+
+    One whose making fails is destroyed: rclpy may hang at the program's end over entities that are left behind.
+    """
+    node = node_class.__new__(node_class)
+    with contextlib.ExitStack() as cleanup:
+        cleanup.callback(_destroy, node)
+        node.__init__()
+        cleanup.pop_all()
+    return node
+
+
+def _destroy(node):
+    if hasattr(node, "_type_description_service"):  # the last thing that rclpy's own part makes
+        Node.destroy_node(node)
 
 
 def asks_for_help():
@@ -89,7 +108,7 @@ def run_sensor_node(name, node_class, params_class, text):
     node = None
     try:
         try:
-            node = node_class()
+            node = made(node_class)
         except (ValueError, ParameterException) as error:
             print(f"{name}: {error}", file=sys.stderr)
             return 2

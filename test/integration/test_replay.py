@@ -239,9 +239,8 @@ def test_what_cannot_be_replayed_is_told_in_one_line(replay):
         (["scenario:=turn", "rate:=-1.0"], 2, "rate = -1.0: must be from 0.0 to 1000.0"),
         (["scenario:=dive"], 2, "unknown scenario 'dive'"),
         (["scenario:=turn", "duration:=2.0", "wait_timeout:=0.2"], 1, "0 of 1 subscribers on /imu/data_raw")]
-    children = [replay(*parameters) for parameters, _, _ in expected]
-    for child, (_, status, reason) in zip(children, expected, strict=True):
-        got, output = finish(child)
+    for parameters, status, reason in expected:
+        got, output = finish(replay(*parameters))
         assert got == status and reason in output
         assert len(output.strip().splitlines()) == 1 + ("bga" in output)
 
