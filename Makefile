@@ -20,6 +20,7 @@ study: ## rewrite the tables of docs/results
 	@scripts/run study python3 -m studies.choice
 	@scripts/run study python3 -m studies.attitude
 	@scripts/run study python3 -m studies.real_effects
+	@scripts/run study,bench python3 -m studies.other_motions
 	@scripts/run study python3 -m studies.north_finding
 	@scripts/run study python3 -m studies.ins_alignment
 	@scripts/run study python3 -m studies.strapdown
