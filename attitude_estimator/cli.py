@@ -5,15 +5,11 @@ what ``attitude_node`` would have published. Parts of a recording are decoded, e
 With ``--smooth`` the whole bag is one part, and each estimate knows what came after it.
 """
 
-import argparse
 import dataclasses
 import itertools
-import shutil
-import sys
-import time
+import math
 import warnings
-from collections import Counter
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
@@ -31,26 +27,10 @@ from attitude_estimator.rivals import make_estimator
 from attitude_estimator.smoother import check_smoothable, smooth
 from inertial.recording import AltitudeSeries, ImuSeries
 from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
-from nav_ros.bags import (
-    TYPES,
-    BagError,
-    BagReader,
-    BagWarning,
-    BagWriter,
-    bag_name,
-    choose_altitude,
-    read_recording,
-)
+from nav_ros.bag_to_bag import BagEstimator, bags_parser, estimate_bag_to_bag, estimate_bags
+from nav_ros.bags import TYPES, BagError, BagWarning, read_recording
 from nav_ros.bias_file import read_biases
-from nav_ros.cli import (
-    USAGE_ERROR,
-    add_parameter_options,
-    add_topic_option,
-    one_line_errors,
-    parameters_of,
-    progress,
-    topics_of,
-)
+from nav_ros.cli import topics_of
 from nav_ros.frames import swap_flu_frd
 from nav_ros.imu_check import ImuCheck
 from nav_ros.messages import (
@@ -64,28 +44,30 @@ from nav_ros.messages import (
 )
 from nav_ros.time_gate import StampCode, classify_stamps, gate_state
 
-PART = 20_000  # messages that are estimated at once; more only takes memory
 CHECK_RATE = 50.0  # Hz at which samples are looked over for a wrong unit
 SUSPECT_SHARE = 0.01  # of samples with a rate beyond gyro_range, from which the unit is in doubt
 
 
-class BagEstimator:
-    """Turns the messages of one bag into those that the node publishes.
+class AttitudeBagEstimator(BagEstimator):
+    """Turns the messages of one bag into those that ``attitude_node`` publishes.
 
     Parameters
     ----------
     params : AttitudeNodeParams
-    imu_topic, altimeter_topic : str or None
-    altimeter_type : str or None
+    bag, topics
+        As of a :class:`~nav_ros.bag_to_bag.BagEstimator`.
     smoothed : bool
-        Each part is then taken for a whole recording and smoothed.
+        The bag is then estimated at once.
     """
 
-    def __init__(self, params, imu_topic, altimeter_topic, altimeter_type, smoothed=False):
-        self._params = params
+    keys, copies, output_types = ("imu", "altitude", "pressure"), ("truth",), OUTPUT_TYPES
+
+    def __init__(self, params, bag, topics, smoothed=False):
+        super().__init__(params, bag, topics)
         self._estimator = make_estimator(params)
         if smoothed:
             check_smoothable(params)
+            self.part = math.inf
         self._smoothed = smoothed
         self._stored = read_biases(params.bias_file) if params.bias_file else None
         if params.bias_file and self._stored is None:
@@ -98,20 +80,24 @@ class BagEstimator:
         self._gate = gate_state()
         self._messages = OutputMessages(params.mounting_rpy)
         self._check = ImuCheck(self._messages.mounting.up_imu)
-        self._imu_topic, self._altimeter_topic = imu_topic, altimeter_topic
-        self._altimeter_type = altimeter_type
-        self._source = AltitudeSource(altimeter_type) if altimeter_type else None
+        self._altimeter_topic, self._altimeter_type, self._source = None, None, None
+        for topic, key in self.inputs.items():
+            if key != "imu":
+                self._altimeter_topic, self._altimeter_type = topic, TYPES[key]
+                self._source = AltitudeSource(TYPES[key])
+        if self._source is None and params.altitude_source == "auto":
+            warnings.warn(f"{bag.path}: neither {topics['altitude']} nor {topics['pressure']} is there: the IMU alone "
+                          f"is used; topics there: {', '.join(sorted(bag.types))}", BagWarning, stacklevel=2)
         self._refused = {}
         self._encoders = {}
         self._slot = -1
-        self.counts = Counter()
 
     def estimate(self, part):
         """Return what follows from a list of (topic, receive_ns, raw), as such a list."""
-        imu = [message for message in part if message.topic == self._imu_topic]
+        imu = [message for message in part if self.inputs[message.topic] == "imu"]
         batch = decode_batch(IMU, [message.raw for message in imu])
         self.counts["malformed"] += len(batch.malformed)
-        codes, stamps = classify_stamps(batch.stamp_ns, self._params, self._gate)
+        codes, stamps = classify_stamps(batch.stamp_ns, self.params, self._gate)
         for code in StampCode:
             if code not in (StampCode.STEP, StampCode.FIRST):
                 self.counts[code.name.lower()] += int(np.sum(codes == code))
@@ -141,7 +127,7 @@ class BagEstimator:
             self._check.add(*sample)
         # The first message's covariances stand for those of the part.
         if self._noise.take(*(batch.values[0, field].tolist() for field in (GYRO_COVARIANCE, ACCEL_COVARIANCE))):
-            self._estimator.params = self._noise.applied(self._params, period)
+            self._estimator.params = self._noise.applied(self.params, period)
         self.counts["covariance_invalid"] += len(batch) * self._noise.invalid
 
     def _start_with_stored(self, stamps):
@@ -162,12 +148,12 @@ class BagEstimator:
     def faults(self):
         """Name -> count of everything that was refused or bridged."""
         counts = {name: count for name, count in self.counts.items() if name not in ("samples", "attitudes")}
-        return {name: count for name, count in (vars(self._faults) | counts).items() if count}
+        return vars(self._faults) | counts
 
-    @property
-    def told_faults(self):
-        """The faults as one text, empty where there are none."""
-        return ", ".join(f"{name} {count}" for name, count in self.faults.items())
+    def summary(self):
+        """Return what came out."""
+        return [f"{self.counts['samples']} estimates, "
+                f"{self.counts['attitudes'] / self.counts['samples']:.1%} with an attitude"]
 
     @property
     def suspicions(self):
@@ -175,7 +161,7 @@ class BagEstimator:
         suspicions = list(self._check.faults.values())
         beyond = vars(self._faults).get("gyro_out_of_range", 0)
         if "gyro_unit" not in self._check.faults and beyond > SUSPECT_SHARE * self.counts["samples"]:
-            suspicions.append(f"{beyond} rates are beyond gyro_range = {self._params.gyro_range:g} rad/s: are they in "
+            suspicions.append(f"{beyond} rates are beyond gyro_range = {self.params.gyro_range:g} rad/s: are they in "
                               "deg/s? An Imu has rad/s: multiply by pi/180")
         suspicions += [f"{self.counts[fault]} samples of {self._altimeter_topic} refused: {reason}"
                        for fault, reason in self._refused.items()]
@@ -189,9 +175,9 @@ class BagEstimator:
         received = 0
         raws, places = [], []
         for message in part:
-            if message.topic == self._imu_topic:
+            if self.inputs[message.topic] == "imu":
                 received += 1
-            elif message.topic == self._altimeter_topic:
+            else:
                 raws.append(message.raw)
                 places.append(received)
         if not raws:
@@ -222,7 +208,7 @@ class BagEstimator:
         out = []
         names = sorted(set(frame_ids))
         frames = np.array([names.index(frame) for frame in frame_ids])
-        slots = self._params.auxiliary_slot(estimates.stamp_ns)
+        slots = self.params.auxiliary_slot(estimates.stamp_ns)
         auxiliary = np.diff(slots, prepend=self._slot) != 0
         self._slot = slots[-1] if len(slots) else self._slot
         for topic in OUTPUT_TYPES:
@@ -240,62 +226,12 @@ class BagEstimator:
     def _encoder(self, topic, frame):
         key = topic, frame
         if key not in self._encoders:
-            self._encoders[key] = StampedEncoder(OUTPUT_TYPES[topic], *self._params.frames(topic, frame))
+            self._encoders[key] = StampedEncoder(OUTPUT_TYPES[topic], *self.params.frames(topic, frame))
         return self._encoders[key]
 
 
-def estimate_bag(path, out, params, topics, storage="mcap", *, smoothed=False):
-    """Write the estimates of one bag into another, with a copy of the truth.
-
-    Parameters
-    ----------
-    path, out : path-like
-    params : AttitudeNodeParams
-    topics : dict
-        Key -> topic, see :data:`nav_ros.bags.TOPICS`.
-    storage : {"mcap", "sqlite3"}
-    smoothed : bool
-        Let each estimate know the whole bag, which is then held in memory.
-
-    Returns
-    -------
-    BagEstimator
-        With its counts.
-
-    Raises
-    ------
-    nav_ros.bags.BagError
-        There is no such bag, no IMU in it, a topic of another type, or nothing that can be used.
-    """
-    with BagReader(path) as bag:
-        bag.require(topics["imu"], TYPES["imu"])
-        bag.require_remapped(topics)
-        altimeter = choose_altitude(bag.types, topics, params.altitude_source)
-        if altimeter:
-            bag.require(topics[altimeter], TYPES[altimeter])
-        elif params.altitude_source == "auto":
-            warnings.warn(f"{path}: neither {topics['altitude']} nor {topics['pressure']} is there: the IMU alone is "
-                          f"used; topics there: {', '.join(sorted(bag.types))}", BagWarning, stacklevel=2)
-        truth = topics["truth"] if topics["truth"] in bag.types else None
-        wanted = [topics["imu"], *([topics[altimeter]] if altimeter else []), *([truth] if truth else [])]
-        estimator = BagEstimator(params, topics["imu"], topics.get(altimeter), TYPES.get(altimeter),
-                                 smoothed)
-        types = {"/imu/data": IMU} | ({truth: bag.types[truth]} if truth else {})
-        types |= {f"/{topic}": kind for topic, kind in OUTPUT_TYPES.items()}
-        with BagWriter(out, types, storage) as writer:
-            part = []
-            for message in progress(bag.messages(wanted), bag.name):
-                part.append(message)
-                if len(part) >= PART and not smoothed:
-                    _write(writer, estimator, part, truth)
-                    part = []
-            _write(writer, estimator, part, truth)
-    if not estimator.counts["samples"]:
-        shutil.rmtree(out)
-        why = estimator.told_faults or "no message"
-        hint = "; fixed_dt is the interval of samples without a stamp" if estimator.counts["no_stamp"] else ""
-        raise BagError(f"{path}: no usable IMU sample on {topics['imu']}: {why}{hint}")
-    return estimator
+estimate_bag = partial(estimate_bag_to_bag, AttitudeBagEstimator)
+"""Write the estimates of one bag into another; ``smoothed=True`` lets each know the whole bag, held in memory."""
 
 
 def find_delay(path, params, topics):
@@ -327,70 +263,24 @@ def _with_delay(path, params, topics):
     return dataclasses.replace(params, altitude_delay=fit.delay, altitude_delay_std=fit.std)
 
 
-def _write(writer, estimator, part, truth):
-    out = estimator.estimate(part) if part else []
-    out += [message for message in part if message.topic == truth]
-    for topic, receive_ns, raw in sorted(out, key=lambda message: message[1]):
-        writer.write(topic, receive_ns, raw)
-
-
 def main(arguments=None):
     """Run ``estimate_bag``; return its exit status."""
-    options = _parser().parse_args(arguments)
-    status = 0
-    with one_line_errors("estimate_bag"):
-        *bags, out = options.bags
-        if not bags:
-            raise ValueError("needs at least one bag and the folder to write")
-        params = parameters_of(options, "attitude_node", AttitudeNodeParams)
-        for bag, target in _targets(bags, out):
-            try:
-                _estimate_one(bag, target, params, options)
-            except BagError as error:
-                if len(bags) == 1:
-                    raise
-                print(f"estimate_bag: {error}", file=sys.stderr)
-                status = USAGE_ERROR
-    return status
+    return estimate_bags(_parser(), AttitudeNodeParams, _estimate_one, arguments)
 
 
-def _targets(bags, out):
-    """Return (bag, folder to make) pairs."""
-    if len(bags) == 1:
-        return [(bags[0], Path(out))]
-    names = Counter(map(bag_name, bags))
-    (name, count), = names.most_common(1)
-    if count > 1:
-        raise ValueError(f"{count} bags are named {name}: their estimates would have one folder")
-    return [(bag, Path(out) / bag_name(bag)) for bag in bags]
-
-
-def _estimate_one(bag, target, params, options):
-    began = time.perf_counter()
+def _estimate_one(bag, out, params, options):
     topics = topics_of(options)
     if options.fit_delay:
         params = _with_delay(bag, params, topics)
-    estimator = estimate_bag(bag, target, params, topics, options.storage, smoothed=options.smooth)
-    took = time.perf_counter() - began
-    for suspicion in estimator.suspicions:
-        warnings.warn(f"{bag}: {suspicion}", BagWarning, stacklevel=1)
-    samples, attitudes = estimator.counts["samples"], estimator.counts["attitudes"]
-    print(f"{target}: {samples} estimates, {attitudes / samples:.1%} with an attitude, in {took:.1f} s; "
-          f"{estimator.told_faults or 'nothing refused'}")
+    return estimate_bag(bag, out, params, topics, options.storage, smoothed=options.smooth)
 
 
 def _parser():
-    parser = argparse.ArgumentParser(
-        prog="estimate_bag",
-        description="Write the bag that attitude_node would make of a recording: /imu/data, "
-        "/imu/rpy/filtered, /attitude/state, the biases, and a copy of the truth.")
-    parser.add_argument("bags", nargs="+", metavar="IN... OUT",
-                        help="bags to read, and the folder to make; of several bags it holds one bag each")
-    add_parameter_options(parser, "attitude_node")
+    parser = bags_parser(
+        "estimate_bag", "Write the bag that attitude_node would make of a recording: /imu/data, /imu/rpy/filtered, "
+        "/attitude/state, the biases, and a copy of the truth.", "attitude_node", AttitudeBagEstimator)
     parser.add_argument("--smooth", action="store_true",
                         help="estimate each sample from the whole bag, also from what came after it")
     parser.add_argument("--fit-delay", action="store_true",
                         help="find altitude_delay and its spread from each bag, tell and use them")
-    parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="default %(default)s")
-    add_topic_option(parser, ("imu", "altitude", "pressure", "truth"))
     return parser

@@ -88,6 +88,7 @@ class BagReader:
 
     Attributes
     ----------
+    path : pathlib.Path
     name : str
         Of the folder or file.
     types : dict
@@ -102,15 +103,15 @@ class BagReader:
     """
 
     def __init__(self, path):
-        self._path = Path(path)
+        self.path = Path(path)
         self.name = bag_name(path)
         self.broken = None
         self._salvaged = []
         self._readers = []
         self.types = {}
-        unreadable = [reason for part in _parts(self._path) for reason in self._open(part)]
+        unreadable = [reason for part in _parts(self.path) for reason in self._open(part)]
         if unreadable and not self._readers and not self._salvaged:
-            raise BagError(f"{self._path}: not a bag that can be read ({unreadable[0]})")
+            raise BagError(f"{self.path}: not a bag that can be read ({unreadable[0]})")
         for reason in unreadable:
             self._tell_break(reason, "the other files")
 
@@ -138,20 +139,34 @@ class BagReader:
             there = ", ".join(sorted(self.types)) or "none"
             fitting = ", ".join(sorted(name for name, kind in self.types.items() if kind == message_type))
             hint = f" ({message_type} is on {fitting})" if fitting else ""
-            raise BagError(f"{self._path}: no topic {topic}{hint}; topics there: {there}")
+            raise BagError(f"{self.path}: no topic {topic}{hint}; topics there: {there}")
         if message_type is not None and self.types[topic] != message_type:
-            raise BagError(f"{self._path}: topic {topic} is {self.types[topic]}, expected {message_type}")
+            raise BagError(f"{self.path}: topic {topic} is {self.types[topic]}, expected {message_type}")
 
-    def require_remapped(self, topics):
-        """Check that the topics which differ from :data:`TOPICS` are there, of their types; `topics` is as that.
+    def inputs(self, keys, topics, altitude_source="auto"):
+        """Return which topics to read: topic -> key.
+
+        Parameters
+        ----------
+        keys : iterable of str
+            Of :data:`TOPICS`: the IMU, which must be there, and what is used where it is; of the altimeters one.
+        topics : dict
+            Key -> topic, as :data:`TOPICS`; one that differs must be there, whether it is read or not.
+        altitude_source : {"auto", "altitude", "pressure", "none"}
 
         Raises
         ------
         BagError
+            A topic is not there or of another type, or there are two altimeters to choose from.
         """
         for key, topic in topics.items():
-            if topic != TOPICS[key]:
+            if key == "imu" or topic != TOPICS[key]:
                 self.require(topic, TYPES[key])
+        unused = {"altitude", "pressure"} - {choose_altitude(self.types, topics, altitude_source)}
+        there = {topics[key]: key for key in keys if key not in unused and topics[key] in self.types}
+        for topic, key in there.items():
+            self.require(topic, TYPES[key])
+        return there
 
     def messages(self, topics=None):
         """Yield a (topic, receive_ns, raw) :class:`BagMessage` each, in recorded order.
@@ -218,7 +233,7 @@ class BagReader:
 
     def _tell_break(self, reason, what):
         self.broken = reason
-        warnings.warn(f"{self._path}: the recording is cut off or damaged ({reason}); read {what}",
+        warnings.warn(f"{self.path}: the recording is cut off or damaged ({reason}); read {what}",
                       BagWarning, stacklevel=4)
 
 
@@ -406,18 +421,14 @@ def read_recording(path, topics=None, altitude_source="auto"):
     """
     topics = TOPICS | (topics or {})
     with BagReader(path) as bag:
-        bag.require(topics["imu"])
-        altimeter = choose_altitude(bag.types, topics, altitude_source)
-        keys = ["imu", *([altimeter] if altimeter else []), *(["truth"] * (topics["truth"] in bag.types))]
-        for key in keys:
-            bag.require(topics[key], TYPES[key])
-        raws, arrival = _collect(bag, {topics[key]: key for key in keys})
+        inputs = bag.inputs(("imu", "altitude", "pressure", "truth"), topics, altitude_source)
+        raws, arrival = _collect(bag, inputs)
         name = bag.name
-    batches = {key: _decode(path, topics[key], TYPES[key], raws[key]) for key in keys}
+    batches = {key: decoded(key, raws[key], f"{path}: {topic}") for topic, key in inputs.items()}
     imu = batches["imu"]
     series = ImuSeries(imu.stamp_ns, swap_flu_frd(imu.values[:, GYRO]), swap_flu_frd(imu.values[:, ACCEL]))
     altitude = truth = None
-    if altimeter:
+    for altimeter in batches.keys() & {"altitude", "pressure"}:
         altitude = _altitudes(path, topics[altimeter], TYPES[altimeter], batches[altimeter], arrival)
     if "truth" in batches and len(batches["truth"]):
         truth = AttitudeSeries(batches["truth"].stamp_ns, q_nb_from_orientation(batches["truth"].values))
@@ -435,12 +446,28 @@ def _collect(bag, keys):
     return raws, np.array(arrival, np.int64)
 
 
-def _decode(path, topic, message_type, raws):
-    batch = decode_batch(message_type, raws)
+def decoded(key, raws, told_of=None):
+    """Return the :class:`~nav_ros.messages.MessageBatch` of serialized messages.
+
+    Parameters
+    ----------
+    key : str
+        Of :data:`TYPES`.
+    raws : list of bytes
+    told_of : str, optional
+        Malformed messages are left out with a :class:`BagWarning` that begins so; without it they are refused.
+
+    Raises
+    ------
+    ValueError
+    """
+    batch = decode_batch(TYPES[key], raws)
     if batch.malformed:
         index, reason = next(iter(batch.malformed.items()))
-        warnings.warn(f"{path}: {len(batch.malformed)} of {len(raws)} messages of {topic} are malformed, "
-                      f"the first is number {index}: {reason}", BagWarning, stacklevel=3)
+        text = f"{len(batch.malformed)} of {len(raws)} messages are malformed, the first is number {index}: {reason}"
+        if told_of is None:
+            raise ValueError(text)
+        warnings.warn(f"{told_of}: {text}", BagWarning, stacklevel=3)
     return batch
 
 

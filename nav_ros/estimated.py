@@ -7,7 +7,7 @@ import numpy as np
 from inertial.recording import AttitudeSeries
 from inertial.rotation import dcm_from_quaternion, euler_from_dcm
 from inertial.scoring import score_attitude
-from nav_ros.bags import TOPICS, TYPES, BagError, BagReader
+from nav_ros.bags import TOPICS, TYPES, BagError, BagReader, decoded
 from nav_ros.frames import (
     q_nb_from_orientation,
     swap_enu_ned,
@@ -28,7 +28,6 @@ from nav_ros.messages import (
     TWIST_COVARIANCE,
     TWIST_LINEAR,
     UNKNOWN_VARIANCE,
-    decode_batch,
 )
 
 ALSO = ("truth", "state", "odometry", "gyro_bias", "accel_bias")
@@ -144,7 +143,7 @@ def attitude_run(raws, truth=None):
     ValueError
         A message is malformed.
     """
-    batch = _decoded("output", raws)
+    batch = decoded("output", raws)
     values = batch.values
     covariance_enu = values[:, ORIENTATION_COVARIANCE].reshape(-1, 3, 3)
     return AttitudeRun(
@@ -200,27 +199,20 @@ def read_run(path, topics=TOPICS, need=(), also=ALSO, progress=iter):
     return EstimatedRun(name, attitude, **parts)
 
 
-def _decoded(key, raws):
-    batch = decode_batch(TYPES[key], raws)
-    if batch.malformed:
-        raise ValueError(f"{len(batch.malformed)} malformed messages")
-    return batch
-
-
 def _truth(raws):
-    batch = _decoded("truth", raws)
+    batch = decoded("truth", raws)
     return AttitudeSeries(batch.stamp_ns, q_nb_from_orientation(batch.values))
 
 
 def _state(raws):
-    batch = _decoded("state", raws)
+    batch = decoded("state", raws)
     covariance = swap_flu_frd_covariance(batch.values[:, TWIST_COVARIANCE].reshape(-1, 6, 6)[:, :3, :3])
     # Its child frame is level.
     return _places(batch, swap_flu_frd(batch.values[:, TWIST_LINEAR]), covariance)
 
 
 def _odometry(raws):
-    batch = _decoded("odometry", raws)
+    batch = decoded("odometry", raws)
     dcm_nb = dcm_from_quaternion(q_nb_from_orientation(batch.values[:, POSE_ORIENTATION]))
     velocity_n = np.einsum("nij,nj->ni", dcm_nb, swap_flu_frd(batch.values[:, TWIST_LINEAR]))
     covariance = swap_flu_frd_covariance(batch.values[:, TWIST_COVARIANCE].reshape(-1, 6, 6)[:, :3, :3])
@@ -237,7 +229,7 @@ def _places(batch, velocity_n, velocity_covariance_n):
 
 
 def _biases(raws):
-    batch = _decoded("gyro_bias", raws)
+    batch = decoded("gyro_bias", raws)
     return batch.stamp_ns, swap_flu_frd(batch.values)
 
 

@@ -22,7 +22,7 @@ from attitude_estimator.navigation.edge import OUTPUT_TYPES  # noqa: E402
 from inertial.flight_scenarios import Receiver  # noqa: E402
 from nav_ros.bags import BagReader, BagWriter, read_messages  # noqa: E402
 from nav_ros.cli import score_bag_main, simulate_bag_main  # noqa: E402
-from nav_ros.messages import DOUBLES, POSE_COVARIANCE, POSE_POSITION  # noqa: E402
+from nav_ros.messages import DOUBLES, IMU, POSE_COVARIANCE, POSE_POSITION, StampedEncoder  # noqa: E402
 
 TYPES = {"imu/data": Imu, "odometry": Odometry, "imu/gyro_bias": Vector3Stamped, "imu/accel_bias": Vector3Stamped}
 SAME = 1e-9
@@ -185,8 +185,13 @@ def test_other_topics_without_a_fix_and_what_cannot_be_read(flight_bag, tmp_path
     said = capsys.readouterr().out
     assert f"{round(DURATION * IMU_RATE)} estimates" in said and "velocity" in said and "  fix" not in said
 
+    with BagWriter(tmp_path / "unusable", {"/imu/data_raw": IMU}) as writer:
+        for stamp_ns in range(5):
+            writer.write("/imu/data_raw", stamp_ns, StampedEncoder(IMU, "imu").encode(0, np.zeros(DOUBLES[IMU])))
     out = tmp_path / "none"
     for arguments, reason in (
+            ([tmp_path / "unusable", out], "no usable IMU sample on /imu/data_raw: imu_no_stamp 5; fixed_dt is"),
+            ([flight_bag, out, "--topic", "fix:=/my/fix"], "no topic /my/fix (sensor_msgs/msg/NavSatFix is on /fix)"),
             ([tmp_path / "other", out], "no topic /imu/data_raw (sensor_msgs/msg/Imu is on /my/imu); topics there"),
             ([flight_bag, out, "--topic", "fix:=/velocity"], "expected sensor_msgs/msg/NavSatFix"),
             ([flight_bag, out, "-p", "fix_stdd:=1.0"], "did you mean fix_std?"),
