@@ -20,23 +20,12 @@ from inertial.rotation import (
     euler_from_dcm,
 )
 from nav_ros.bias_file import StoredBiases
-from nav_ros.frames import (
-    Mounting,
-    orientation_from_q_nb,
-    rpy_from_euler,
-    swap_enu_ned_covariance,
-    swap_flu_frd,
-)
+from nav_ros.frames import Mounting, rpy_from_euler, swap_flu_frd
+from nav_ros.imu_message import hide_orientation, imu_values
 from nav_ros.messages import (
-    ACCEL,
-    ACCEL_COVARIANCE,
     DOUBLES,
-    GYRO,
-    GYRO_COVARIANCE,
     IMU,
     ODOMETRY,
-    ORIENTATION,
-    ORIENTATION_COVARIANCE,
     POSE_COVARIANCE,
     POSE_ORIENTATION,
     POSE_POSITION,
@@ -193,11 +182,8 @@ class OutputMessages:
         values = estimates.rows @ self._matrix[topic]
         if topic == "attitude/state":
             values += self._state_offset
-        elif topic == "imu/data" and not estimates.valid.all():
-            unknown = ~np.atleast_1d(estimates.valid)
-            table = values.reshape(-1, DOUBLES[IMU])
-            table[unknown, ORIENTATION] = [0.0, 0.0, 0.0, 1.0]
-            table[unknown, ORIENTATION_COVARIANCE] = [-1.0] + [0.0] * 8
+        elif topic == "imu/data":
+            hide_orientation(values, estimates.valid)
         return values
 
     def rpy(self, estimates):
@@ -214,17 +200,10 @@ class OutputMessages:
         return float(roll), float(-pitch), float(-yaw)
 
     def _imu(self, estimates):
-        values = np.zeros((len(estimates), DOUBLES[IMU]))
-        values[:, ORIENTATION] = orientation_from_q_nb(self.mounting.attitude(estimates.q_nb_wxyz))
         covariance = np.zeros((len(estimates), 3, 3))
         covariance[:, :2, :2] = estimates.tilt_covariance_n
         covariance[:, 2, 2] = estimates.yaw_variance
-        values[:, ORIENTATION_COVARIANCE] = swap_enu_ned_covariance(covariance).reshape(-1, 9)
-        values[:, GYRO] = self.mounting.vector(estimates.gyro_b)
-        values[:, GYRO_COVARIANCE] = self.mounting.covariance(estimates.gyro_bias_variance).reshape(-1, 9)
-        values[:, ACCEL] = self.mounting.vector(estimates.accel_b)
-        values[:, ACCEL_COVARIANCE] = self.mounting.covariance(estimates.accel_bias_variance).reshape(-1, 9)
-        return values
+        return imu_values(self.mounting, estimates, covariance)
 
     def _state(self, estimates):
         """Altitude and vertical velocity, linear in the row; what is constant is in `_unknown`."""

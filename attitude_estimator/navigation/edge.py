@@ -31,18 +31,15 @@ from nav_ros.frames import (
     swap_flu_frd_covariance,
 )
 from nav_ros.imu_check import ImuCheck
+from nav_ros.imu_message import hide_orientation, imu_values
 from nav_ros.messages import (
     ACCEL,
-    ACCEL_COVARIANCE,
     COVARIANCE_UNKNOWN,
     DOUBLES,
     GPS_FIX,
     GYRO,
-    GYRO_COVARIANCE,
     IMU,
     ODOMETRY,
-    ORIENTATION,
-    ORIENTATION_COVARIANCE,
     POINT,
     POSE,
     POSE_COVARIANCE,
@@ -319,7 +316,8 @@ class NavigationMessages:
         self.mounting = Mounting(mounting_rpy)
         basis = Navigation(None, np.eye(kernels.OUT_SIZE))
         # Most values are linear in the row of an estimate.
-        self._matrix = {"imu/data": self._imu(basis), "odometry": self._pose_and_turn(basis),
+        self._matrix = {"imu/data": imu_values(self.mounting, basis, basis.covariance[:, :3, :3]),
+                        "odometry": self._pose_and_turn(basis),
                         "imu/gyro_bias": swap_flu_frd(basis.gyro_bias_b),
                         "imu/accel_bias": swap_flu_frd(basis.accel_bias_b)}
 
@@ -340,25 +338,11 @@ class NavigationMessages:
         values = estimates.rows @ self._matrix[topic]
         table, all_rows = np.atleast_2d(values), Navigation(None, np.atleast_2d(estimates.rows))
         if topic == "imu/data":
-            unknown = ~all_rows.valid
-            if unknown.any():
-                table[unknown, ORIENTATION] = [0.0, 0.0, 0.0, 1.0]
-                table[unknown, ORIENTATION_COVARIANCE] = [-1.0] + [0.0] * 8
+            hide_orientation(table, all_rows.valid)
         elif topic == "odometry":
             self._add_velocity(table, all_rows)
             for part in (POSE_COVARIANCE, TWIST_COVARIANCE):
                 _cap(table[:, part].reshape(-1, 6, 6))
-        return values
-
-    def _imu(self, estimates):
-        values = np.zeros((len(estimates), DOUBLES[IMU]))
-        values[:, ORIENTATION] = orientation_from_q_nb(self.mounting.attitude(estimates.q_nb_wxyz))
-        values[:, ORIENTATION_COVARIANCE] = swap_enu_ned_covariance(
-            estimates.covariance[:, :3, :3]).reshape(-1, 9)
-        values[:, GYRO] = self.mounting.vector(estimates.gyro_b)
-        values[:, GYRO_COVARIANCE] = self.mounting.covariance(estimates.gyro_bias_variance).reshape(-1, 9)
-        values[:, ACCEL] = self.mounting.vector(estimates.accel_b)
-        values[:, ACCEL_COVARIANCE] = self.mounting.covariance(estimates.accel_bias_variance).reshape(-1, 9)
         return values
 
     def _pose_and_turn(self, estimates):
