@@ -198,7 +198,7 @@ class AlignmentNode(SensorNode):
 
     def make_report(self, now_ns):
         """Return the report: what is known, what is going on, why there is no heading, everything refused."""
-        report = self.new_report("alignment", self.params.base_frame)
+        report = self.new_report(now_ns, "alignment", self.params.base_frame)
         for key, value in (self._view.status() | self._view.activity()).items():
             report.value(key, value)
         report.value("latitude_deg", math.degrees(self._session.params.latitude))

@@ -245,7 +245,7 @@ class AttitudeNode(SensorNode):
 
     def make_report(self, now_ns):
         """Return the report: state, sensors, everything refused."""
-        report = self.new_report("attitude", self._frame or "")
+        report = self.new_report(now_ns, "attitude", self._frame or "")
         self.report_imu(report, self._gate, self._check, now_ns)
         self._report_altimeter(report, now_ns)
         self._report_faults(report)

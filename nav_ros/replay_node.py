@@ -16,8 +16,6 @@ import warnings
 from collections import Counter, deque
 from dataclasses import dataclass
 
-import rclpy
-from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -29,9 +27,9 @@ from inertial.parameters import check_parameters, parameter
 from inertial.recording import Recording
 from nav_ros.bags import TOPICS, BagError, BagReader
 from nav_ros.messages import IMU, encode_clock
-from nav_ros.parameters import declare_parameters, node_help
+from nav_ros.parameters import declare_parameters
 from nav_ros.recorded import recorded_messages
-from nav_ros.sensor_loop import asks_for_help, init_interruptible, made, served
+from nav_ros.sensor_loop import run_node, served
 
 CLOCK_PERIOD_NS = 10_000_000
 NAP_NS = 100_000_000  # longest sleep, so that a pause or the end is noticed
@@ -215,6 +213,7 @@ class ReplayNode(Node):
     def _open(self):
         """Return the topics with their types, and a function that returns all messages in order."""
         params = self.params
+        warnings.showwarning = lambda message, *_args, **_kwargs: self.get_logger().warning(str(message))
         if params.bag:
             with BagReader(params.bag) as bag:
                 return dict(bag.types), self._read_bag
@@ -346,26 +345,9 @@ class ReplayNode(Node):
         return response
 
 
-def main(arguments=None):
+def main():
     """Run the node; return its exit status."""
-    if asks_for_help():
-        print(node_help("replay_node", __doc__, ReplayParams))
-        return 0
-    node = None
-    try:
-        init_interruptible(arguments)
-        node = made(ReplayNode)
-        warnings.showwarning = lambda message, *_args, **_kwargs: node.get_logger().warning(str(message))
-        return _run(node)
-    except (BagError, ValueError, OSError, ParameterException) as error:
-        print(f"replay_node: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 0
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
+    return run_node("replay_node", ReplayNode, ReplayParams, __doc__, _run, (BagError, ValueError, OSError))
 
 
 def _run(node):

@@ -35,18 +35,13 @@ class SensorGroup(MutuallyExclusiveCallbackGroup):
         return not isinstance(entity, Subscription) and super().can_execute(entity)
 
 
-def init_interruptible(arguments=None):
+def init_interruptible():
     """Initialise ROS so that SIGINT and SIGTERM raise KeyboardInterrupt in the main thread.
 
     rclpy's own handlers shut the context down from a thread of theirs, under whatever is being published or
     waited for: now and then that ends in an RCLError or a segmentation fault.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        As of ``rclpy.init``.
     """
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
 
@@ -69,57 +64,57 @@ def _destroy(node):
         Node.destroy_node(node)
 
 
-def asks_for_help():
-    """Whether the command line does."""
-    return not {"-h", "--help"}.isdisjoint(sys.argv[1:])
-
-
-def run_sensor_node(name, node_class, params_class, text):
-    """Run a node with fast sensors until it is interrupted or shut down; ``--help`` tells what it does.
+def run_node(name, node_class, params_class, text, work, errors=()):
+    """Make a node and let it work until it is done, interrupted or shut down; ``--help`` tells what it does.
 
     Parameters
     ----------
     name : str
         Of the program, for what it prints.
     node_class : type
-        Of :class:`nav_ros.sensor_node.SensorNode`, made without arguments; a ValueError or a parameter of the wrong
-        type ends the start.
+        Made without arguments; a ValueError or a parameter of the wrong type ends the start.
     params_class : type
     text : str
         What the node does.
+    work : callable
+        ``work(node)`` returns the exit status.
+    errors : tuple of exception types
+        What else is wrong with the input, also while it works.
 
     Returns
     -------
     int
-        Exit status: 0, or 2 after one line about what is wrong with the arguments or parameters.
+        Exit status: that of the work, 0 when interrupted, or 2 after one line about what is wrong.
     """
-    if asks_for_help():
+    if not {"-h", "--help"}.isdisjoint(sys.argv[1:]):
         print(node_help(name, text, params_class))
         return 0
+    node = None
+    told = (ValueError, ParameterException, rclpy_implementation.RCLError,
+            rclpy_implementation.UnknownROSArgsError, *errors)
     try:
         init_interruptible()
         others = remove_ros_args(sys.argv)[1:]
         if others:
             raise ValueError(f"unknown argument {others[0]}: parameters and remaps come after --ros-args")
-    except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError, ValueError) as error:
-        # What follows is the place in the source of ROS.
-        print(f"{name}: {str(error).partition(', at /')[0]}", file=sys.stderr)
-        return 2
-    node = None
-    try:
-        try:
-            node = made(node_class)
-        except (ValueError, ParameterException) as error:
-            print(f"{name}: {error}", file=sys.stderr)
-            return 2
-        spin_sensors(node, [(sensor.subscription, sensor.take) for sensor in node.sensors.values()])
+        node = made(node_class)
+        told = errors
+        return work(node)
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        return 0
+    except told as error:
+        # What follows is the place in the source of ROS.
+        print(f"{name}: {' '.join(str(error).partition(', at /')[0].split())}", file=sys.stderr)
+        return 2
     finally:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-    return 0
+
+
+def run_sensor_node(name, node_class, params_class, text):
+    """Run a :class:`nav_ros.sensor_node.SensorNode`; parameters and result as of :func:`run_node`."""
+    return run_node(name, node_class, params_class, text, spin_sensors)
 
 
 @contextlib.contextmanager
@@ -150,22 +145,22 @@ def served(node):
         thread.join()
 
 
-def spin_sensors(node, sensors):
-    """Serve a node until its context is shut down.
+def spin_sensors(node):
+    """Serve a node until its context is shut down; return the exit status 0.
+
+    Of messages that wait together, those of the first sensor are served first. A message of the last one is served
+    after all that came before it.
 
     Parameters
     ----------
-    node : rclpy.node.Node
-    sensors : list of (rclpy.subscription.Subscription, callable)
-        Raw subscriptions of a :class:`SensorGroup` with what takes their bytes; of messages that wait together,
-        those of the first subscription are served first. A message of the last one is served after all that
-        came before it.
+    node : nav_ros.sensor_node.SensorNode
 
     Raises
     ------
     KeyboardInterrupt, rclpy.executors.ExternalShutdownException
         As from ``rclpy.spin``.
     """
+    sensors = [(sensor.subscription, sensor.take) for sensor in node.sensors.values()]
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     wait_set = rclpy_implementation.WaitSet(len(sensors), 0, 0, 0, 0, 0, node.context.handle)
@@ -178,6 +173,7 @@ def spin_sensors(node, sensors):
                 wait_set.add_subscription(subscription.handle)
             wait_set.wait(round(left * 1e9))
             _serve_waiting(sensors)
+    return 0
 
 
 def _serve_waiting(sensors):

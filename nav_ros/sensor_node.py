@@ -193,12 +193,11 @@ class SensorNode(Node):
         self._last_fault.clear()
         return report
 
-    def new_report(self, what, hardware_id=""):
+    def new_report(self, now_ns, what, hardware_id=""):
         """Return a report with the faults since the last one that was sent, and how the sensors are."""
         report = Report(f"{self.get_fully_qualified_name().lstrip('/')}: {what}", hardware_id)
         for level, text in self._last_fault.values():
             report.fault(level, text)
-        now_ns = self.now_ns()
         if now_ns == 0:
             report.fault(Level.WARN, "use_sim_time is true and there is no /clock yet")
         for key, sensor in self.sensors.items():

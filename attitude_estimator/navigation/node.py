@@ -102,7 +102,7 @@ class NavigationNode(SensorNode):
     def make_report(self, now_ns):
         """Return the report: state, IMU, aids, everything refused."""
         self._tell_origin()
-        report = self.new_report("navigation", self._session.frame or "")
+        report = self.new_report(now_ns, "navigation", self._session.frame or "")
         self._report_state(report)
         self.report_imu(report, self._session.gate, self._session.check, now_ns)
         self._report_aids(report)
