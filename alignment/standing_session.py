@@ -96,7 +96,7 @@ class StandingSession:
 
     @property
     def result(self):
-        """The :class:`alignment.standing.aligner.StandingResult` so far, or None."""
+        """The :class:`alignment.standing.results.StandingResult` so far, or None."""
         return self._aligner.result
 
     @property

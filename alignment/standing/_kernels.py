@@ -21,8 +21,9 @@ PAPER_LITERAL, CLOSED_LOOP, RESIDUAL = range(3)
 # of that velocity over it, both in the body's axes at its start, and 1 where no zero velocity may count.
 (STEP_DT, STEP_DTHETA, STEP_DVEL, STEP_MEAN_DVEL, STEP_MOVING, STEP_SIZE) = (0, 1, 4, 7, 10, 11)
 
-# A step under way: its rotation matrix so far, then as above.
-(A_ROTATION, A_DT, A_DVEL, A_POSITION, A_SIZE) = (0, 9, 10, 13, 16)
+# A step under way: its rotation matrix so far, then as above; of rate and force the squared density of the noise so
+# far, the last three samples of each, and how many there were.
+(A_ROTATION, A_DT, A_DVEL, A_POSITION, A_NOISE, A_BEFORE, A_SEEN, A_SIZE) = (0, 9, 10, 13, 16, 22, 40, 41)
 
 CONSTANT_NAMES = (
     "earth_north", "earth_down", "gravity", "radius", "tan_latitude", "gyro_var", "accel_var", "gyro_flicker_var",
@@ -65,12 +66,18 @@ LARGEST_SCALE = 400.0  # of the zero-velocity variance, beyond which the attitud
 RATE_TIME = 1.0  # s that a rate is a mean of, before it counts as a turn: who steps in rocks a vehicle to and fro
 REJECTION_TIME = 1.0  # s of rejected zero velocities that count as motion
 STANDING_TIME = 2.0  # s of zero velocities that end it
+NOISE_TIME = 10.0  # s over which the noise of the samples is followed
+
+
+_compiled = njit(cache=True, error_model="numpy")
+# As `_compiled`, of what only other kernels call: no entry from Python, which spares compiling one.
+_inlined = njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 # --- shared -----------------------------------------------------------------------------------------
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _rotation(x, y, z, out):
     """Fill out (3, 3) with exp([v x])."""
     square = x * x + y * y + z * z
@@ -84,7 +91,7 @@ def _rotation(x, y, z, out):
     out[2, 0], out[2, 1], out[2, 2] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _multiply(a, b, out):
     """Fill out (3, 3) with a b."""
     for i in range(3):
@@ -92,7 +99,7 @@ def _multiply(a, b, out):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _copy(a, out):
     """Fill out (3, 3) with a. A slice would do it, but takes seven seconds to compile."""
     for i in range(3):
@@ -100,7 +107,7 @@ def _copy(a, out):
             out[i, j] = a[i, j]
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _orthonormalise(r):
     """Take the rounding out of a rotation matrix, first order: R (3 I - R^T R) / 2."""
     g = np.empty((3, 3))
@@ -113,7 +120,7 @@ def _orthonormalise(r):
     _copy(out, r)
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _carry(P, F, n, scratch):
     """Replace P by F P F^T; F may be sparse. Rows are added up, which a processor does four at a time."""
     for i in range(n):
@@ -140,7 +147,7 @@ def _carry(P, F, n, scratch):
             P[i, j] = P[j, i]
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _update(P, h, n, z, variance, gain, delta):
     """Scalar Kalman update with row h: add the correction to delta, shrink P; return -log of the likelihood.
 
@@ -164,7 +171,7 @@ def _update(P, h, n, z, variance, gain, delta):
     return 0.5 * (z * z / s + math.log(s))
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _update_entry(P, at, n, z, variance, gain, delta):
     """Scalar Kalman update by a measurement of one entry of the state, else as :func:`_update`."""
     for i in range(n):
@@ -178,7 +185,7 @@ def _update_entry(P, at, n, z, variance, gain, delta):
             P[i, j] -= k * gain[j]
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _innovation_variance(P, h, n):
     total = 0.0
     for i in range(n):
@@ -188,7 +195,7 @@ def _innovation_variance(P, h, n):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _quaternion(r, out):
     """Fill out[0:4] with the unit quaternion of a rotation matrix, scalar first and >= 0 (Shepperd, 1978)."""
     trace = r[0, 0] + r[1, 1] + r[2, 2]
@@ -213,7 +220,7 @@ def _quaternion(r, out):
         out[i] /= norm
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _judge(nis, dt, moving, velocity, c, q):
     """Return the weight of a zero velocity, 0 for none, and an event; keep count of motion.
 
@@ -249,13 +256,14 @@ def _judge(nis, dt, moving, velocity, c, q):
     return (HUBER / root if c[C_ROBUST] != 0.0 and root > HUBER else 1.0), event
 
 
-@njit(cache=True, error_model="numpy")
-def _adapt(z, s, count, c, q):
+@_inlined
+def _adapt(z, s, c, q):
     """Learn from the mean innovation of a block how noisy the zero velocities are; return an event.
 
     White innovations have a block mean of variance S / BLOCK. Slow motion of the vehicle makes it larger, and
     the zero-velocity variance is scaled by as much; fast motion makes it smaller, which is not made use of.
     """
+    count = len(z)
     for i in range(count):
         q[Q_BLOCK + i] += z[i]
         q[Q_BLOCK_VAR + i] += s[i]
@@ -280,7 +288,7 @@ def _adapt(z, s, count, c, q):
 # --- samples to steps, and the coarse alignment -------------------------------------------------------
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled
 def reduce_samples(acc, dt, gyro_b, accel_b, period, steps, ends):
     """Sum samples up to steps of at least ``period`` s; return how many steps were completed.
 
@@ -303,12 +311,13 @@ def reduce_samples(acc, dt, gyro_b, accel_b, period, steps, ends):
             r[i, j] = acc[A_ROTATION + 3 * i + j]
     for k in range(len(dt)):
         if acc[A_DT] == 0.0:
-            for i in range(A_SIZE):
+            for i in range(A_NOISE):
                 acc[i] = 0.0
             for i in range(3):
                 for j in range(3):
                     r[i, j] = 1.0 if i == j else 0.0
         t = dt[k]
+        _follow_noise(acc, t, gyro_b[k], accel_b[k])
         x, y, z = t * gyro_b[k, 0], t * gyro_b[k, 1], t * gyro_b[k, 2]
         fx, fy, fz = t * accel_b[k, 0], t * accel_b[k, 1], t * accel_b[k, 2]
         # Specific force in the axes half-way through the sample.
@@ -334,7 +343,24 @@ def reduce_samples(acc, dt, gyro_b, accel_b, period, steps, ends):
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
+def _follow_noise(acc, t, gyro_b, accel_b):
+    """Follow the squared noise density of each reading by its third difference, which a vehicle's sway hardly enters.
+
+    Of white noise a third difference has 1 + 9 + 9 + 1 times the variance.
+    """
+    gain = max(t / NOISE_TIME, 1.0 / max(acc[A_SEEN] - 2.0, 1.0))
+    for i in range(6):
+        at = A_BEFORE + 3 * i
+        value = gyro_b[i] if i < 3 else accel_b[i - 3]
+        if acc[A_SEEN] > 2.0:
+            difference = value - acc[at] + 3.0 * (acc[at + 1] - acc[at + 2])
+            acc[A_NOISE + i] += gain * (0.05 * t * difference * difference - acc[A_NOISE + i])
+        acc[at], acc[at + 1], acc[at + 2] = acc[at + 1], acc[at + 2], value
+    acc[A_SEEN] += 1.0
+
+
+@_inlined
 def _close_step(acc, r, step):
     q = np.empty(4)
     _quaternion(r, q)
@@ -348,7 +374,7 @@ def _close_step(acc, r, step):
         step[STEP_MEAN_DVEL + i] = acc[A_POSITION + i] / acc[A_DT]
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled
 def run_coarse(c, sums, bias, steps):
     """Add steps to the sums of the optimisation-based alignment (Wu and Pan, 2013).
 
@@ -400,7 +426,7 @@ def run_coarse(c, sums, bias, steps):
 # --- filters with an attitude and a velocity of their own ---------------------------------------------
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled
 def group_step(model, c, R, m, step, turn, half, after, F, H):
     """Carry attitude and velocity over a step and fill transition F and measurement rows H.
 
@@ -488,7 +514,7 @@ def group_step(model, c, R, m, step, turn, half, after, F, H):
     _copy(half, R)
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _add_cross(F, i, j, x, y, z):
     """Add [v x] to the block of F at (i, j)."""
     F[i, j + 1] -= z
@@ -499,7 +525,7 @@ def _add_cross(F, i, j, x, y, z):
     F[i + 2, j + 1] += x
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _correct_group(model, R, m, delta, turn, scratch):
     """Take the estimated error off attitude, velocity and biases."""
     x, y, z = -delta[0], -delta[1], -delta[2]
@@ -526,7 +552,7 @@ def _correct_group(model, R, m, delta, turn, scratch):
             m[M_BA + i] -= R[0, i] * delta[9] + R[1, i] * delta[10] + R[2, i] * delta[11]
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _drift(c, q, t):
     """Return by how much the variance of a bias grows over t, in squares of its instability.
 
@@ -536,7 +562,7 @@ def _drift(c, q, t):
     return FLICKER * t / min(max(q[Q_TIME] - q[Q_TURNED], 1.0), c[C_BIAS_TIME])
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _group_noise(model, c, step, q, P):
     """Add the noise of a step to P; a turn adds what the gyros' scale factors and axes are off."""
     t = step[STEP_DT]
@@ -562,7 +588,7 @@ def _group_noise(model, c, step, q, P):
         P[i, i] += spread
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled
 def run_group(model, c, R, m, P, q, steps, rows):
     """Run riekf6, riekf12 or mekf over steps; return how many were used and the event that stopped it.
 
@@ -610,7 +636,7 @@ def run_group(model, c, R, m, P, q, steps, rows):
                 delta[i] = 0.0
             for i in range(3):
                 q[Q_MISFIT] += _update(P, H[i], n, after[0, i], variance / weight, gain, delta)
-            alarm = _adapt(after[0], s, 3, c, q)
+            alarm = _adapt(after[0], s, c, q)
             event = alarm if alarm != NOTHING else event
             _correct_group(model, R, m, delta, turn, half)
             _orthonormalise(R)
@@ -622,7 +648,7 @@ def run_group(model, c, R, m, P, q, steps, rows):
     return len(steps), NOTHING
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled
 def group_row(model, R, m, P, q, row):
     """Fill a row of output; biases and their variances in body axes."""
     _quaternion(R, row)
@@ -646,7 +672,7 @@ def group_row(model, R, m, P, q, row):
 # --- filters of the computed-frame error model --------------------------------------------------------
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled
 def model_rate(c, n, x, f, R, out):
     """Fill out with the rate f(x) of the error model, n = 5 or 10.
 
@@ -676,7 +702,7 @@ def model_rate(c, n, x, f, R, out):
             out[i] = 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled
 def model_jacobian(c, n, x, f, R, A):
     """Fill A (n, n) with the Jacobian of :func:`model_rate`; beside diagonal and model it must be zero already.
 
@@ -716,7 +742,7 @@ def model_jacobian(c, n, x, f, R, A):
                 A[2 + i, 5 + j] = -R[i, j]
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled
 def strapdown_step(c, R, m, dt, gyro_b, accel_b, bias, turn, scratch):
     """Carry the computed attitude R and the horizontal velocity over a sample; store the force in m.
 
@@ -745,7 +771,7 @@ def strapdown_step(c, R, m, dt, gyro_b, accel_b, bias, turn, scratch):
     _copy(scratch, R)
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def computed_frame(x, out):
     """Fill out (3, 3) with C_n^n' = (I - phi_h x) Rz(phiD)."""
     cs, sn = math.cos(x[4]), math.sin(x[4])
@@ -755,7 +781,7 @@ def computed_frame(x, out):
     out[2, 0], out[2, 1], out[2, 2] = pe * cs + pn * sn, pe * sn - pn * cs, 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _true_attitude(R, x, frame, out):
     """Fill out with C_b^n = (C_n^n')^T C_b^n'."""
     computed_frame(x, frame)
@@ -766,7 +792,7 @@ def _true_attitude(R, x, frame, out):
         _orthonormalise(out)
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled
 def fill_gain(p, ratio, dt, F, rows, gain, weight):
     """Fill what the IPA needs until its gain is computed again, for unit Qm.
 
@@ -819,7 +845,7 @@ def fill_gain(p, ratio, dt, F, rows, gain, weight):
             gain[i, j] = total
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _invert(a, n):
     """Replace a symmetric positive definite matrix by its inverse (Gauss-Jordan, no pivoting needed)."""
     for k in range(n):
@@ -835,7 +861,7 @@ def _invert(a, n):
                     a[i, j] -= factor * a[k, j]
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _fill_short_gain(rows, gain, short):
     """Fill short (5, 7) with the gain on what makes the free response: its constant part (2,), and e (5,)."""
     for i in range(5):
@@ -848,7 +874,7 @@ def _fill_short_gain(rows, gain, short):
                     short[i, 2 + j] += gain[i, 2 * k + a] * rows[k, a, j]
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _model_error(c, dt, m, y, rate, short, response, increment):
     """Fill what makes the IPA's free response (7,) and the first increment Dm*.
 
@@ -868,7 +894,7 @@ def _model_error(c, dt, m, y, rate, short, response, increment):
         increment[i] = -total
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _predictive_cost(ipa):
     """Return J* of the last free response."""
     rows, _, weight, _, response = ipa
@@ -886,7 +912,7 @@ def _predictive_cost(ipa):
     return cost
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _factor(P, n, L):
     """Fill L with the lower Cholesky factor of P; a pivot that rounding made negative counts as zero."""
     for j in range(n):
@@ -902,10 +928,10 @@ def _factor(P, n, L):
             L[i, j] = total * inverse
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _unscented(c, dt, m, R, P, L, points, rate):
     """Carry mean and covariance through the model by sigma points (paper, B-2 to B-5), n = 10."""
-    n = 10
+    n = len(rate)
     alpha = 0.1
     lam = alpha * alpha * 3.0 - n  # kappa = 3 - n
     gamma = math.sqrt(n + lam)
@@ -939,7 +965,7 @@ def _unscented(c, dt, m, R, P, L, points, rate):
             P[i, j] = P[j, i] = total
 
 
-@njit(cache=True, error_model="numpy")
+@_inlined
 def _feed_back(c, n, R, m, frame, scratch):
     """Correct the strapdown by the state and start the state anew at zero, its predecessor shifted alike."""
     _true_attitude(R, m[M_X:M_X + 10], frame, scratch)
@@ -952,10 +978,10 @@ def _feed_back(c, n, R, m, frame, scratch):
     for i in range(10):
         m[M_BEFORE + i] -= m[M_X + i]
         m[M_X + i] = 0.0
-    model_rate(c, 5, m[M_BEFORE:M_BEFORE + 10], m[M_FORCE:M_FORCE + 3], R, m[M_RATE_BEFORE:M_ERROR])
+    model_rate(c, min(n, 5), m[M_BEFORE:M_BEFORE + 10], m[M_FORCE:M_FORCE + 3], R, m[M_RATE_BEFORE:M_ERROR])
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled
 def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, every, rows):
     """Run ekf5, ekf10, ukf10 or ipekf over samples; return how many were used and the event that stopped it.
 
@@ -1046,7 +1072,7 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
                     _update_entry(P, i, n, z[i], variance / weight, gain, delta)
                 for i in range(n):
                     x[i] += delta[i]
-                alarm = _adapt(z, s, 2, c, q)
+                alarm = _adapt(z, s, c, q)
                 event = alarm if alarm != NOTHING else event
             q[Q_SINCE_UPDATE] = 0.0
         q[Q_SINCE_FEEDBACK] += t
@@ -1063,7 +1089,7 @@ def run_error_model(model, c, R, m, P, q, ipa, dt, gyro_b, accel_b, standing, ev
     return len(dt), NOTHING
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled
 def error_model_row(model, R, m, P, q, row):
     """Fill a row of output: attitude, velocity and biases with the state taken off."""
     n = 5 if model in (EKF5, IPEKF) else 10

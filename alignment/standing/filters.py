@@ -27,6 +27,7 @@ from inertial.earth import EARTH_RATE
 from inertial.rotation import dcm_from_quaternion, euler_from_dcm
 
 GROUP_FILTERS = ("riekf6", "riekf12", "mekf")
+WITHOUT_BIASES = ("riekf6", "ekf5", "ipekf")
 VELOCITY_STD = 0.1
 """Spread of the first velocity, m/s, of every filter (the study's P0)."""
 TILT_STD = math.radians(1.0)
@@ -131,7 +132,7 @@ class Filter:
     """
 
     def __init__(self, name, params, q_nb_wxyz, covariance, bias=None, bias_covariance=None):
-        self.model = MODELS[name]
+        self.name, self.model = name, MODELS[name]
         self.in_steps = name in GROUP_FILTERS
         self.constants = params.constants()
         self.R = dcm_from_quaternion(np.asarray(q_nb_wxyz, dtype=float))
@@ -176,6 +177,11 @@ class Filter:
         """Use samples; return how many, and the event that stopped it."""
         return kernels.run_error_model(self.model, self.constants, self.R, self.m, self.P, self.q, self.ipa, dt,
                                        gyro_b, accel_b, standing, every, rows)
+
+    @property
+    def time(self):
+        """Time that it has run for, s."""
+        return float(self.q[kernels.Q_TIME])
 
     @property
     def moving(self):

@@ -94,6 +94,16 @@ class StandingParams:
         return float(normal_gravity(self.latitude, self.height))
 
     @property
+    def no_latitude(self):
+        """Whether the latitude is not known, or too near a pole for a heading."""
+        return not math.cos(self.latitude) >= SMALLEST_COS_LATITUDE
+
+    @property
+    def drowned(self):
+        """Whether the Earth rate is less than a bias, and no turn that tells them apart keeps the velocity."""
+        return self.gyro_bias_spread > EARTH_RATE and not self.zero_velocity_while_turning
+
+    @property
     def north_rate(self):
         """Horizontal Earth rate, rad/s."""
         return EARTH_RATE * math.cos(self.latitude)

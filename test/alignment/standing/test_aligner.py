@@ -1,6 +1,7 @@
 """The aligner of a standing vehicle, sample by sample."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ SEEDS = 12
 MEAN_SQUARE = (0.25, 2.4)  # of z over so many seeds: outside once in a thousand
 LEVEL_LAG = 4e-4  # rad that the Earth turns by in the five seconds of a level without latitude
 SAME = 1e-12  # rad: the same arithmetic in blocks of other lengths
+LEAST = 0.99  # part of the floor: the first attitude, too, is known a little
 COARSE = {"coarse_window": 20.0}
 
 
@@ -151,6 +153,36 @@ def test_refusals_say_why(made_up, changes, scale, text):
         assert aligner.input_error
 
 
+@pytest.mark.parametrize(("sensors", "reason"), [
+    ("tactical", "gyro noise is (49|50|51) times what gyro_noise_density says"),
+    ("adis", "deg/h all the time, the Earth's rate is 15 deg/h and gyro_bias_std 0.01 deg/h")])
+def test_sensors_poorer_than_told_are_refused_by_what_was_measured(sensors, reason):
+    """Navigation grade is told. The one's attitude wanders, the other's turn-on bias looks like a turn."""
+    imu = simulate_parked(f"parked_{sensors}", duration=100.0, imu_rate=RATE, seed=2).imu
+    aligner = StandingAligner(params_of("navigation", **COARSE))
+    aligner.run(imu)
+    assert re.search(reason, aligner.refusal) and aligner.phase != "aligned"
+
+
+def test_strong_wind_and_people_are_no_poor_sensors():
+    imu = simulate_parked("parked_navigation", duration=60.0, imu_rate=RATE, seed=2, disturbance=3.0).imu
+    aligner = StandingAligner(params_of("navigation", **COARSE))
+    aligner.run(imu)
+    assert aligner.phase == "fine" and not aligner.refusal
+
+
+@pytest.mark.parametrize("method", ["oba_riekf", "mekf", "riekf6", "ekf10", "ekf5"])
+def test_sigma_is_never_below_what_the_biases_allow(still, method):
+    """At rest a tilt stays beside an accelerometer's bias, a heading beside the east gyro's."""
+    aligner = StandingAligner(params_of("navigation", method=method, **COARSE))
+    params = aligner.params
+    for _, result in aligner.run(still):
+        if result is not None:
+            tilt_var = np.diag(result.covariance)[:2].min()
+            assert math.sqrt(tilt_var) > LEAST * params.accel_bias_spread / params.local_gravity
+            assert result.heading_std > LEAST * result.floor > LEAST * params.gyro_bias_spread / params.north_rate
+
+
 @pytest.mark.parametrize(("deg_per_hour", "cure"), [(10.0, "or the IMU"), (720.0, "with zero_velocity_while_turning")])
 def test_biases_that_hide_the_earth_rate_are_never_aligned(made_up, deg_per_hour, cure):
     imu, _ = made_up.imu(made_up.tactical, 60.0, rate=RATE)
@@ -197,7 +229,7 @@ def test_attitude_that_contradicts_the_residuals_is_given_up(made_up):
     aligner = StandingAligner(made_up.params(made_up.navigation, method="ekf5", zero_velocity_std=1e-4, **COARSE))
     part = slice(0, 1500)
     aligner.run(ImuSeries(imu.stamp_ns[part], imu.gyro_b[part], imu.accel_b[part]))
-    state = aligner._filter
+    state = aligner._fine.filter
     turn = math.radians(30.0)
     state.R[:] = dcm_nb_from_euler(0.0, 0.0, turn) @ state.R
     state.P[4, :] = state.P[:, 4] = 0.0
