@@ -4,11 +4,12 @@ The sensors themselves tell whether the table stood still: the parts of a dwell 
 and 1/f noise allow. Single outlying samples, as of somebody who walks past, are left out by a robust mean.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from alignment.harmonic import OUTLIER_THRESHOLD, huber_fit
+from alignment.harmonic import OUTLIER_THRESHOLD, huber_fit, robust_spread
 
 _PARTS = 5
 _FEWEST_SAMPLES = 20
@@ -27,6 +28,8 @@ class Dwell:
     accel_b : (3,) float64, m/s^2
     kept : float
         Share of the samples that count.
+    gyro_noise_density : float, rad/s/sqrt(Hz)
+        White noise that the samples of the x and y gyros show.
     rejection : str
         Why the dwell may not be used; empty when it may.
     """
@@ -37,6 +40,7 @@ class Dwell:
     gyro_b: np.ndarray
     accel_b: np.ndarray
     kept: float = 1.0
+    gyro_noise_density: float = math.nan
     rejection: str = ""
 
     @property
@@ -80,14 +84,19 @@ def reduce_dwell(time, angle, gyro_b, accel_b, params):
     means = samples[kept].mean(axis=0)
     reason = _movement(samples, kept, interval, params)
     return Dwell(float(angle.mean()), float(time[0] - interval), float(time[-1]), means[:3], means[3:],
-                 float(kept.mean()), reason)
+                 float(kept.mean()), _noise_density(samples[:, :2], interval), reason)
 
 
 def rejected_dwell(time, angle, reason):
     """Return a dwell of samples at times, s, and table angles, rad, that is not used for the reason."""
     unknown = np.full(3, np.nan)
     start, end = (float(time[0]), float(time[-1])) if len(time) else (np.nan, np.nan)
-    return Dwell(float(angle.mean()) if len(angle) else np.nan, start, end, unknown, unknown, 0.0, reason)
+    return Dwell(float(angle.mean()) if len(angle) else np.nan, start, end, unknown, unknown, 0.0, rejection=reason)
+
+
+def _noise_density(gyro, interval):
+    """Return the density of white noise by third differences, which have 20 times its variance and no slow motion."""
+    return float(robust_spread(np.diff(gyro, n=3, axis=0)).mean() * np.sqrt(interval / 20.0))
 
 
 def _inliers(column):

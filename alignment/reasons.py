@@ -11,6 +11,7 @@ from inertial.earth import EARTH_RATE
 
 _LEVEL_TILT = math.radians(20.0)  # within, the gyros' in-plane rate is that of the latitude
 _CLEARLY = 5.0  # times the other gyros' biases, from which that of z is no bias
+_NOISIER = 2.0  # times the noise that was stated, from which that explains what scatters more
 _RATHER = 3.0  # times smaller with the other sign of the latitude
 
 
@@ -23,7 +24,7 @@ def explain_level(level):
     return ""
 
 
-def explain_heading(north, level, latitude, one_way=False):
+def explain_heading(north, level, latitude, one_way=False, noise_ratio=math.nan):
     """Return why a heading must not be believed, or an empty string.
 
     Parameters
@@ -33,6 +34,8 @@ def explain_heading(north, level, latitude, one_way=False):
     latitude : float, rad
     one_way : bool
         Whether the table turned steadily one way only.
+    noise_ratio : float
+        White noise that the gyros' samples show over what was stated; NaN where that is not known.
     """
     flags = north.flags & UNBELIEVABLE
     reasons = []
@@ -45,14 +48,19 @@ def explain_heading(north, level, latitude, one_way=False):
     if flags & Quality.SCALE:
         reasons.append(f"the gyros read {explain_scale(float(north.scale))}")
     elif flags & Quality.INCONSISTENT:
-        reasons.append(_explain_misfit(north, level, latitude, one_way))
+        reasons.append(_explain_misfit(north, level, latitude, one_way, noise_ratio))
     return "; ".join(reasons)
 
 
-def _explain_misfit(north, level, latitude, one_way):
+def _explain_misfit(north, level, latitude, one_way, noise_ratio):
     if north.scatter > LARGEST_SCATTER:
-        return (f"the gyros scatter {float(north.scatter):.3g} times as much as stated: the table or the IMU on it "
-                "moves, or gyro_noise_density or gyro_bias_instability is too small")
+        told = f"the gyros scatter {float(north.scatter):.3g} times as much as stated"
+        if noise_ratio > _NOISIER:
+            return f"{told}: gyro noise is {noise_ratio:.2g} times what gyro_noise_density says"
+        culprits = "gyro_noise_density or gyro_bias_instability"
+        if noise_ratio <= _NOISIER:
+            told, culprits = f"{told}, their samples do not", "gyro_bias_instability"
+        return f"{told}: the table or the IMU on it moves, or {culprits} is too small"
     scale = float(north.scale)
     told = (f"the gyros do not fit the Earth's rate (chi2 {float(north.chi2):.3g}, {scale:.4f} times its size): "
             "more noise, scale_std or skew_std than stated")

@@ -185,7 +185,8 @@ class TableSession:
         if north is None:
             return self._missing or self._too_few
         one_way = self.turning and not self._rotation.both_ways
-        told = explain_heading(north, level, self.params.latitude, one_way)
+        noise_ratio = math.nan if self.turning else self._station.noise_ratio
+        told = explain_heading(north, level, self.params.latitude, one_way, noise_ratio)
         return told or (self.doubt if sign_matters(level, float(north.std), self.params.latitude) else "")
 
     @property

@@ -151,6 +151,12 @@ class TableAlignment:
         return next(bad.rejection for bad in self.rejected if bad.start == dwell.start)
 
     @property
+    def noise_ratio(self):
+        """White noise that the gyros' samples show over what was stated; NaN before the first dwell."""
+        shown = [dwell.gyro_noise_density for dwell in self._dwells]
+        return float(np.median(shown)) / self.params.gyro_noise_density if shown else math.nan
+
+    @property
     def moved(self):
         """What tells that the table has moved, or an empty string."""
         if self._disagreeing < _MOVED:

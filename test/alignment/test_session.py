@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+import re
 
 import numpy as np
 import pytest
@@ -92,6 +93,20 @@ def test_without_a_usable_latitude_there_is_the_level_only(recording, latitude, 
 def test_sensors_in_other_units_are_named(recording):
     assert "in deg/s, not rad/s?" in run(recording, gyro=np.degrees).refusal
     assert "in g, not m/s^2?" in run(recording, accel=lambda accel_b: accel_b / 9.80665).refusal
+
+
+@pytest.mark.parametrize("noisier, instability, reason", [
+    (30.0, 0.0, "times as much as stated: gyro noise is (29|30|31) times what gyro_noise_density says"),
+    (1.0, 2e-6, "samples do not: the table or the IMU on it moves, or gyro_bias_instability is too small")])
+def test_a_sensor_poorer_than_stated_is_told_by_what_was_measured(recording, noisier, instability, reason):
+    """A sensor with more noise in every sample, and one whose bias differs from dwell to dwell."""
+    rng = np.random.default_rng(3)
+
+    def poorer(gyro_b):
+        added = math.sqrt((noisier ** 2 - 1) * IMU_RATE) * PARAMS.gyro_noise_density
+        slow = np.repeat(rng.standard_normal((8, 3)), math.ceil(len(gyro_b) / 8), axis=0)[:len(gyro_b)]
+        return gyro_b + added * rng.standard_normal(gyro_b.shape) + instability * slow
+    assert re.search(reason, run(recording, gyro=poorer).refusal)
 
 
 def test_a_table_that_is_not_still_is_rejected_with_the_reason(recording):
