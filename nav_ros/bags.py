@@ -27,7 +27,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from inertial.recording import AltitudeSeries, AttitudeSeries, ImuSeries, Recording
 from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
-from nav_ros.broken_mcap import read_broken_mcap, zstd
+from nav_ros.broken_bag import read_broken_db3, read_broken_mcap, zstd
 from nav_ros.frames import q_nb_from_orientation, swap_flu_frd
 from nav_ros.messages import (
     ACCEL,
@@ -208,7 +208,7 @@ class BagReader:
 
     def _salvage(self, file, reason):
         try:
-            found = read_broken_mcap(file.read_bytes())
+            found = read_broken_db3(file) if file.suffix == ".db3" else read_broken_mcap(file.read_bytes())
         except (OSError, ValueError):
             return [reason]
         if not found.messages:

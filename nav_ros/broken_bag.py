@@ -1,14 +1,18 @@
-"""What can still be read of an MCAP file that ends too early or is damaged.
+"""What can still be read of a bag's file that ends too early or is damaged.
 
-A recorder that is killed leaves no index, no footer and half a chunk. Records are therefore walked from the
-start: whole ones are taken, and of a chunk that is cut off as much as its compressor gives back.
+A recorder that is killed leaves an MCAP file without index and footer, and with half a chunk. Records are therefore
+walked from the start: whole ones are taken, and of a chunk that is cut off as much as its compressor gives back. The
+rows of an sqlite3 file are taken in the order of their writing until a page is missing.
 
-Source: the MCAP specification, https://mcap.dev/spec (records 0x03 Schema, 0x04 Channel, 0x05 Message,
-0x06 Chunk).
+Sources: the MCAP specification, https://mcap.dev/spec (records 0x03 Schema, 0x04 Channel, 0x05 Message, 0x06 Chunk);
+https://www.sqlite.org/fileformat2.html (the size in the header).
 """
 
+import contextlib
+import sqlite3
 import struct
 from typing import NamedTuple
+from urllib.parse import quote
 
 from lz4.frame import LZ4FrameDecompressor
 
@@ -23,7 +27,7 @@ _RECORD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 
-class BrokenMcap(NamedTuple):
+class Salvage(NamedTuple):
     """What was found before the break.
 
     Attributes
@@ -39,7 +43,7 @@ class BrokenMcap(NamedTuple):
 
 
 def read_broken_mcap(data):
-    """Return everything that the bytes of an MCAP file still give, a :class:`BrokenMcap`.
+    """Return everything that the bytes of an MCAP file still give, a :class:`Salvage`.
 
     Raises
     ------
@@ -57,7 +61,30 @@ def read_broken_mcap(data):
         except (struct.error, zstd.ZstdError, RuntimeError, KeyError, UnicodeDecodeError):
             break
     messages.sort(key=lambda message: message[1])
-    return BrokenMcap(dict(channels.values()), messages)
+    return Salvage(dict(channels.values()), messages)
+
+
+def read_broken_db3(path):
+    """Return what an sqlite3 file still gives, a :class:`Salvage`.
+
+    Raises
+    ------
+    ValueError
+        The file has no list of topics.
+    """
+    messages = []
+    with contextlib.closing(sqlite3.connect(f"file:{quote(str(path))}?immutable=1", uri=True)) as database:
+        database.execute("PRAGMA writable_schema = ON")  # else a file with fewer pages than its header says is refused
+        try:
+            rows = database.execute("SELECT id, name, type FROM topics").fetchall()
+        except sqlite3.Error as error:
+            raise ValueError(f"no list of topics: {error}") from error
+        topics = {key: topic for key, topic, _ in rows}
+        with contextlib.suppress(sqlite3.Error, KeyError):
+            for key, receive_ns, raw in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id"):
+                messages.append((topics[key], receive_ns, raw))
+    messages.sort(key=lambda message: message[1])
+    return Salvage({topic: kind for _, topic, kind in rows}, messages)
 
 
 def _records(data):
