@@ -20,6 +20,7 @@ from nav_ros.cli import (
     parameters_of,
     progress,
 )
+from nav_ros.compiling import start_compiler
 
 
 class BagEstimator:
@@ -147,6 +148,7 @@ def estimate_bags(parser, params_class, estimate, arguments=None):
         if not bags:
             raise ValueError("needs at least one bag and the folder to write")
         params = parameters_of(options, options.node_name, params_class)
+        start_compiler()
         for bag, target in _targets(bags, out):
             began = time.perf_counter()
             try:

@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from inertial.imu_errors import PROFILES
 from nav_ros.bags import TOPICS, BagError, BagWarning, BagWriter
+from nav_ros.compiling import compilations_told
 from nav_ros.estimated import read_run
 from nav_ros.parameters import load_parameter_file, parameter_names, params_from_values
 from nav_ros.recorded import recorded_messages
@@ -87,7 +88,7 @@ def parse_value(text):
 
 @contextlib.contextmanager
 def one_line_errors(program):
-    """End the program with one line and exit status 2 on bad input; warnings take one line each."""
+    """End the program with one line and exit status 2 on bad input; warnings and compilations take one line each."""
     def show(message, category, *_args, **_kwargs):
         print(f"{program}: warning: {message}", file=sys.stderr)
 
@@ -95,13 +96,20 @@ def one_line_errors(program):
         warnings.simplefilter("always", BagWarning)
         warnings.showwarning = show
         try:
-            yield
+            with _told_on_a_terminal(program):
+                yield
         except (BagError, ValueError, OSError) as error:
             print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
             raise SystemExit(USAGE_ERROR) from None
         except KeyboardInterrupt:
             print(f"{program}: interrupted", file=sys.stderr)
             raise SystemExit(130) from None
+
+
+def _told_on_a_terminal(program):
+    if not sys.stderr.isatty():
+        return contextlib.nullcontext()
+    return compilations_told(lambda text: tqdm.write(f"{program}: {text}", file=sys.stderr))
 
 
 def progress(iterable, what, total=None):

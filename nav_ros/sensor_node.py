@@ -19,6 +19,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_n
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from nav_ros.compiling import compilations_told, start_compiler
 from nav_ros.diagnostics import Level, Report, StreamMeter, diagnostic_array
 from nav_ros.messages import RefusedMessageError
 from nav_ros.parameters import declare_parameters
@@ -28,7 +29,7 @@ from nav_ros.transforms import Transforms
 DEPTH = 1000  # messages; half a second of a fast IMU while the machine is busy elsewhere
 SENSOR_QOS = QoSProfile(depth=DEPTH, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 OUTPUT_QOS = QoSProfile(depth=DEPTH, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
-SLOW_START = 1.0  # s of compilation worth telling
+SLOW_START = 5.0  # s of compilation worth telling
 WATCH_PERIOD = 0.2  # s, how soon a silent sensor or a new peer is told
 WATCHES_PER_REPORT = 5
 
@@ -87,11 +88,12 @@ class SensorNode(Node):
     def prepare(self, make):
         """Return what a function returns that has every kernel compiled, so that no message waits for a compiler."""
         began = time.monotonic()
-        self.get_logger().info("preparing the kernels (the first start compiles them, about a minute)")
-        made = make()
+        start_compiler()
+        with compilations_told(self.get_logger().info):
+            made = make()
         took = time.monotonic() - began
         if took > SLOW_START:
-            self.get_logger().info(f"kernels ready after {took:.1f} s; later starts reuse them")
+            self.get_logger().info(f"kernels ready after {took:.1f} s")
         return made
 
     def begin(self):
