@@ -1,6 +1,6 @@
 """What estimates cost, beside other filters and beside a node that does nothing, in one run.
 
-``make bench``, or ``python -m studies.bench kernels | nodes | offline | accuracy``. Times of a shared machine
+``make bench``, or ``python -m studies.bench kernels | starts | nodes | offline | accuracy``. Times of a shared machine
 drift, so what is compared is measured in turn, several times, and the least times and their ratio are told. Writes
 build/bench/<part>.json.
 """
@@ -17,7 +17,7 @@ from attitude_estimator.estimator import AttitudeEstimator
 from attitude_estimator.params import AttitudeParams
 from inertial.simulator import simulate
 from studies.bench_accuracy import bench_accuracy
-from studies.bench_node import bench_nodes, bench_offline
+from studies.bench_node import bench_nodes, bench_offline, bench_starts
 from studies.timing import print_table, times_in_turn
 
 OUT = Path("build/bench")
@@ -75,7 +75,7 @@ def _each(update, rows):
         update(w, f)
 
 
-PARTS = {"kernels": bench_kernels, "nodes": bench_nodes, "offline": bench_offline,
+PARTS = {"kernels": bench_kernels, "starts": bench_starts, "nodes": bench_nodes, "offline": bench_offline,
          "accuracy": bench_accuracy}
 
 

@@ -27,6 +27,36 @@ NODE_SECONDS = 12.0
 NODE_ROUNDS = 3
 NODE_RATES = (200.0, 1000.0)  # Hz
 OFFLINE_SECONDS = 240.0
+START_ROUNDS = 5
+
+
+def bench_starts():
+    """Seconds after which each node listens, its kernels compiled before, beside a relay."""
+    commands = {"relay": [sys.executable, "-m", "studies.relay_node"]}
+    commands |= {name: [str(executable(name))] for name in ("attitude_node", "navigation_node", "alignment_node")}
+    environment = os.environ | {"ROS_DOMAIN_ID": str(free_domain())}
+    rounds = [{name: _time_start(command, environment) for name, command in commands.items()}
+              for _ in range(1 + START_ROUNDS)]
+    result = {}
+    for k, key in enumerate(("ready_after_s", "ready_after_cpu_s")):
+        result[key] = {name: min(times[name][k] for times in rounds[1:]) for name in commands}
+        print_table(key, result[key], "relay")
+    return result
+
+
+def _time_start(command, environment):
+    """Return the seconds, and those of processor time, that a node takes to be ready."""
+    began = time.perf_counter()
+    with subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                          stderr=subprocess.STDOUT, text=True) as node:
+        said = ""
+        for line in node.stdout:
+            said += line
+            if "]: ready" in line:
+                took = time.perf_counter() - began, cpu_time(node.pid)
+                node.terminate()
+                return took
+    raise RuntimeError(f"{command} ended: {said}")
 
 
 def bench_nodes():

@@ -19,6 +19,7 @@ def main():
     node = Node("imu_relay")
     publisher = node.create_publisher(Imu, "imu/data", OUTPUT_QOS)
     node.create_subscription(Imu, "imu/data_raw", publisher.publish, INPUT_QOS, raw=raw)
+    node.get_logger().info("ready")
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
