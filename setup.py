@@ -63,18 +63,9 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "attitude_node = attitude_estimator.node:main",
-            "alignment_node = alignment.node:main",
-            "navigation_node = attitude_estimator.navigation.node:main",
-            "replay_node = nav_ros.replay_node:main",
-            "estimate_bag = attitude_estimator.cli:main",
-            "align_bag = alignment.cli:main",
-            "navigate_bag = attitude_estimator.navigation.cli:main",
-            "simulate_bag = nav_ros.cli:simulate_bag_main",
-            "score_bag = nav_ros.cli:score_bag_main",
-            "report_bag = nav_ros.report_cli:main",
-            "allan = nav_ros.allan_cli:main",
-            "attitude_demo = nav_ros.demo:main",
+            *(f"{name} = nav_ros.programs:{name}" for name in (
+                "attitude_node", "alignment_node", "navigation_node", "replay_node", "estimate_bag", "align_bag",
+                "navigate_bag", "simulate_bag", "score_bag", "report_bag", "allan", "attitude_demo")),
             "study_recordings = studies.recordings:main",
             "study_attitude = studies.attitude:main",
             "study_north_finding = studies.north_finding:main",
