@@ -44,44 +44,45 @@ def check_parameters(params):
     Raises
     ------
     ValueError
-        Naming the parameter, its value, its unit and what is allowed.
+        Naming each parameter that is wrong, its value, its unit and what is allowed.
     """
-    for field in dataclasses.fields(params):
-        value = getattr(params, field.name)
-        if isinstance(field.default, tuple):
-            if len(value) != len(field.default):
-                raise ValueError(f"{field.name} needs {len(field.default)} values, "
-                                 f"got {len(value)}")
-            for element in value:
-                _check_value(field, element, field.default[0])
-        else:
-            _check_value(field, value, field.default)
+    faults = [fault for field in dataclasses.fields(params) if (fault := _fault(field, getattr(params, field.name)))]
+    if faults:
+        raise ValueError("; ".join(faults))
 
 
-def _check_value(field, value, default):
+def _fault(field, value):
+    """Return what is wrong with a field's value, empty where nothing is."""
+    if not isinstance(field.default, tuple):
+        return _value_fault(field, value, field.default)
+    if isinstance(value, (str, bytes)) or not hasattr(value, "__len__"):
+        return f"{field.name} = {value!r}: must be {len(field.default)} values"
+    if len(value) != len(field.default):
+        return f"{field.name} needs {len(field.default)} values, got {len(value)}"
+    return next(filter(None, (_value_fault(field, element, field.default[0]) for element in value)), "")
+
+
+def _value_fault(field, value, default):
     meta = field.metadata
     unit = f" {meta['unit']}" if meta["unit"] else ""
     if isinstance(default, (bool, str)):
         if type(value) is not type(default):
-            wanted = "text" if isinstance(default, str) else "true or false"
-            raise ValueError(f"{field.name} = {value!r}: must be {wanted}")
+            return f"{field.name} = {value!r}: must be {'text' if isinstance(default, str) else 'true or false'}"
         if meta["choices"] and value not in meta["choices"]:
-            raise ValueError(f"{field.name} = {value!r}: must be one of "
-                             f"{', '.join(meta['choices'])}")
-        return
+            return f"{field.name} = {value!r}: must be one of {', '.join(meta['choices'])}"
+        return ""
     if isinstance(value, (bool, str)) or not isinstance(value, (int, float)):
         hint = "; YAML writes .nan" if str(value).lower() == "nan" else ""
-        raise ValueError(f"{field.name} = {value!r}: must be a number{unit and ' in' + unit}{hint}")
+        return f"{field.name} = {value!r}: must be a number{unit and ' in' + unit}{hint}"
     if math.isnan(value):
-        if meta["nan_means"] is None:
-            raise ValueError(f"{field.name} = nan: must be a number{unit and ' in' + unit}")
-        return
+        return f"{field.name} = nan: must be a number{unit and ' in' + unit}" if meta["nan_means"] is None else ""
     low = -math.inf if meta["minimum"] is None else meta["minimum"]
     high = math.inf if meta["maximum"] is None else meta["maximum"]
-    if not math.isfinite(value) or not low <= value <= high:
-        in_degrees = meta["unit"] == "rad" and math.isfinite(value) and low <= math.radians(value) <= high
-        hint = f"; {value:g} deg are {math.radians(value):.6g} rad" if in_degrees else ""
-        raise ValueError(f"{field.name} = {value}{unit}: must be from {_short(low)} to {_short(high)}{unit}{hint}")
+    if math.isfinite(value) and low <= value <= high:
+        return ""
+    in_degrees = meta["unit"] == "rad" and math.isfinite(value) and low <= math.radians(value) <= high
+    hint = f"; {value:g} deg are {math.radians(value):.6g} rad" if in_degrees else ""
+    return f"{field.name} = {value}{unit}: must be from {_short(low)} to {_short(high)}{unit}{hint}"
 
 
 def _short(number):

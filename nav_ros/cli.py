@@ -8,7 +8,6 @@ import argparse
 import contextlib
 import csv
 import dataclasses
-import difflib
 import json
 import sys
 import warnings
@@ -21,7 +20,7 @@ from inertial.imu_errors import PROFILES
 from nav_ros.bags import TOPICS, BagError, BagWarning, BagWriter
 from nav_ros.compiling import compilations_told
 from nav_ros.estimated import read_run
-from nav_ros.parameters import load_parameter_file, parameter_names, params_from_values
+from nav_ros.parameters import load_parameter_file, parameter_names, params_from_values, unknown_parameters
 from nav_ros.recorded import recorded_messages
 from nav_ros.simulated import DESCRIPTIONS, simulate_scenario
 
@@ -55,18 +54,17 @@ def parameters_of(arguments, node_name, params_class):
     Raises
     ------
     ValueError
-        A name that does not exist (the nearest one is told), or a value that is refused.
+        Names that do not exist (the nearest ones are told), or values that are refused.
     """
     names = parameter_names(params_class)
     values = load_parameter_file(arguments.params, node_name, names) if arguments.params else {}
-    for text in arguments.set:
-        name, separator, value = text.partition(":=")
+    given = [text.partition(":=") for text in arguments.set]
+    for text, (_, separator, _) in zip(arguments.set, given, strict=True):
         if not separator:
             raise ValueError(f"-p {text}: expected NAME:=VALUE")
-        if name not in names:
-            (near,) = difflib.get_close_matches(name, names, 1, 0.0)
-            raise ValueError(f"-p {text}: there is no parameter {name}; did you mean {near}?")
-        values[name] = parse_value(value)
+    if faults := unknown_parameters([name for name, _, _ in given], names):
+        raise ValueError(" ".join(faults))
+    values |= {name: parse_value(value) for name, _, value in given}
     return params_from_values(params_class, values)
 
 

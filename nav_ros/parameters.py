@@ -38,11 +38,9 @@ def declare_parameters(node, params_class, prefix=""):
     """
     from rcl_interfaces.msg import ParameterDescriptor
     known = parameter_names(params_class, prefix)
-    for given in node._parameter_overrides:  # what nobody declares rclpy drops without a word
-        if given.split(".")[0] not in _ROS_OWN and given.startswith(prefix) and given not in known:
-            near = difflib.get_close_matches(given, known, 1)
-            node.get_logger().warning(f"there is no parameter {given}"
-                                      + "".join(f"; did you mean {name}?" for name in near))
+    given = [name for name in node._parameter_overrides if name.startswith(prefix)]
+    for fault in unknown_parameters(given, known):  # what nobody declares rclpy drops without a word
+        node.get_logger().warning(fault)
     values = {}
     for field in dataclasses.fields(params_class):
         default = list(field.default) if isinstance(field.default, tuple) else field.default
@@ -142,8 +140,8 @@ def load_parameter_file(path, node_name, known):
     Raises
     ------
     ValueError
-        The file cannot be read, is no mapping, has nothing for the node, or an unknown name (the nearest known one
-        is told).
+        The file cannot be read, is no mapping, has nothing for the node, or unknown names (the nearest known ones
+        are told).
     """
     from ruamel.yaml import YAML  # a node's start does not wait for it
     from ruamel.yaml.error import YAMLError
@@ -157,14 +155,19 @@ def load_parameter_file(path, node_name, known):
     for section in _sections(path, content, node_name):
         values |= _flat(section)
     known = list(known)
-    for name in list(values):
-        if name.split(".")[0] in _ROS_OWN and name not in known:
-            del values[name]
-        elif name not in known:
+    if faults := unknown_parameters(values, known):
+        raise ValueError(f"{path}: {' '.join(faults)}")
+    return {name: value for name, value in values.items() if name in known}
+
+
+def unknown_parameters(names, known):
+    """Return a text for each of some names that does not exist, with the nearest that does; ROS' own are left out."""
+    texts = []
+    for name in names:
+        if name not in known and name.split(".")[0] not in _ROS_OWN:
             near = difflib.get_close_matches(name, known, 1, 0.0)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise ValueError(f"{path}: unknown parameter {name}{hint}")
-    return values
+            texts.append(f"there is no parameter {name}" + "".join(f"; did you mean {other}?" for other in near))
+    return texts
 
 
 def parameter_table(params_class, prefix=""):
@@ -202,7 +205,7 @@ def _converted(field, value):
     """Return a value from ROS or YAML as the type of the field's default, where that loses nothing."""
     if isinstance(field.default, tuple):
         if isinstance(value, (str, bytes)) or not hasattr(value, "__len__"):
-            raise ValueError(f"{field.name} = {value!r}: must be {len(field.default)} values")
+            return value  # which the dataclass refuses
         return tuple(_number(field.default[0], element) for element in value)
     return _number(field.default, value)
 

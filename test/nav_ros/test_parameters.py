@@ -83,6 +83,14 @@ def test_a_bad_value_at_the_start_is_told_in_one_line(node_with, override, reaso
     assert "\n" not in str(error.value)
 
 
+def test_all_bad_values_are_told_at_once(node_with):
+    node = node_with("noise:=7.0", "method:=odd", "mounting:=5", "count:=4")
+    with pytest.raises(ValueError) as error:
+        declare_parameters(node, Params)
+    assert str(error.value) == ("noise = 7.0 rad/s: must be from 0.0 to 1.0 rad/s; "
+                                "method = 'odd': must be one of fast, slow; mounting = 5: must be 3 values")
+
+
 def test_descriptors_carry_meaning_unit_and_range(node_with):
     node = node_with()
     declare_parameters(node, Params)
@@ -165,7 +173,9 @@ def test_nested_names_take_dots(tmp_path):
 
 
 @pytest.mark.parametrize("text, reason", [
-    ("nose: 1", "unknown parameter nose; did you mean noise?"), ("- 1", "expected a mapping"),
+    ("nose: 1\ncounter: 2\nuse_sim_time: true",
+     "no parameter nose; did you mean noise? there is no parameter counter; did you mean count?"),
+    ("- 1", "expected a mapping"),
     ("a: [", "cannot be read"), ("", "expected a mapping"),
     ("other:\n  ros__parameters: {noise: 1}", "nothing for filter in it, only for other"),
     ("filter:\n  ros__parameters: 5", "ros__parameters = 5: expected parameter names")])
