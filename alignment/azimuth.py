@@ -19,13 +19,15 @@ from alignment.results import (
     WEAK_SENSITIVITY,
     HeadingResult,
     Quality,
-    propagate_covariance,
+    central_jacobian,
     wrap_angle,
 )
 from alignment.turntable import earth_direction_t
 from inertial.earth import EARTH_RATE
 
 _DIFFERENCE_STEP = 1e-7  # of the Earth rate, or rad: central differences good to about nine digits
+_FEW = (1.0, 2.0, 4.0)  # deviations within which a solution may have been missed
+_NO_SOLUTION_STD = np.pi  # rad, of a heading that has none one deviation of the readings off
 _SAME_BRANCH = 1e-9  # rad; two solutions closer than this are one
 
 
@@ -91,13 +93,16 @@ def find_azimuth(method, rate, roll, pitch, latitude, *, angle=0.0, rate_covaria
 
     with np.errstate(invalid="ignore", divide="ignore"):
         branches, bias, scale, found_latitude = _solve(method, inputs, angle)
+        covariance = _input_covariance(count, rate_covariance, level_covariance, latitude_std)
+        missed = _just_missed(method, inputs, angle, branches, covariance, hint)
         order = _branch_order(branches, hint)
         branches = np.take_along_axis(branches, order, axis=-1)
-        covariance = _input_covariance(count, rate_covariance, level_covariance, latitude_std)
-        variance = _heading_variance(method, inputs, angle, branches[..., 0], covariance)
-        quality = _quality(method, inputs, angle, branches, scale, hint)
+        slope = _heading_slope(method, inputs, angle, branches[..., 0])
+        variance = np.maximum(np.einsum("...i,ij,...j->...", slope, covariance, slope),
+                              _far_variance(method, inputs, angle, branches[..., 0], covariance))
+        quality = _quality(method, inputs, slope, branches, scale, hint)
         quality |= Quality.SHARED_CHANNEL.value if shared_channel else 0
-        quality |= np.where(variance > LARGEST_STD ** 2, Quality.AMBIGUOUS.value, 0)
+        quality |= np.where(missed | (variance > LARGEST_STD ** 2), Quality.AMBIGUOUS.value, 0)
         blind = quality & Quality.SINGULAR.value != 0
     return HeadingResult(np.where(blind, np.nan, branches[..., 0]), np.where(blind, np.nan, variance),
                          branches, bias * EARTH_RATE, scale, quality, latitude=found_latitude)
@@ -273,23 +278,51 @@ def _input_covariance(count, rate_covariance, level_covariance, latitude_std):
     return covariance
 
 
-def _heading_variance(method, inputs, angle, heading, covariance):
-    """Return the first-order variance of the branch at ``heading``."""
-    def follow(shifted):
-        branches = _solve(method, shifted, angle)[0]
-        distance = wrap_angle(branches - heading[..., None])
-        nearest = np.argmin(np.where(np.isnan(distance), np.inf, np.abs(distance)), axis=-1)
-        return np.take_along_axis(distance, nearest[..., None], axis=-1)
+def _changes(method, inputs, angle, heading):
+    """Return how far the branch nearest to ``heading`` is from it, rad; NaN where there is none."""
+    branches = _solve(method, inputs, angle)[0]
+    distance = wrap_angle(branches - heading[..., None])
+    nearest = np.argmin(np.where(np.isnan(distance), np.inf, np.abs(distance)), axis=-1)
+    return np.take_along_axis(distance, nearest[..., None], axis=-1)
+
+
+def _heading_slope(method, inputs, angle, heading):
+    """Return the derivatives of the branch at ``heading`` by the inputs, (..., n)."""
     steps = np.full(inputs.shape[-1], _DIFFERENCE_STEP)
-    return propagate_covariance(follow, inputs, steps, covariance)[..., 0, 0]
+    return central_jacobian(lambda shifted: _changes(method, shifted, angle, heading), inputs, steps)[..., 0, :]
 
 
-def _quality(method, inputs, angle, branches, scale, hint):
+def _far_variance(method, inputs, angle, heading, covariance):
+    """Return the variance by what inputs one deviation off, each way, make of the heading.
+
+    Where the equations bend within the inputs' deviations, their first order says too little.
+    """
+    shifts = _deviations(covariance, inputs.ndim)
+    change = _changes(method, inputs + shifts, angle, heading)[..., 0]
+    return 0.5 * np.sum(np.where(np.isnan(change), _NO_SOLUTION_STD, change) ** 2, axis=0)
+
+
+def _just_missed(method, inputs, angle, branches, covariance, hint):
+    """Whether readings a few deviations off would have a solution nearer to the hint, which these have not."""
+    if hint is None:
+        return np.zeros(branches.shape[:-1], dtype=bool)
+    shifts = np.concatenate([few * _deviations(covariance, inputs.ndim) for few in _FEW])
+    near = _solve(method, inputs + shifts, angle)[0]
+    hint = np.asarray(hint)[..., None]
+    best = np.nanmin(np.abs(wrap_angle(branches - hint)), axis=-1, keepdims=True, initial=np.inf)
+    return np.any(np.isnan(branches) & (np.abs(wrap_angle(near - hint)) < best), axis=(0, -1))
+
+
+def _deviations(covariance, ndim):
+    """Return one deviation of the inputs along each axis of their covariance, each way, (2 n, ..., n)."""
+    variances, axes = np.linalg.eigh(covariance)
+    shifts = (axes * np.sqrt(variances.clip(0.0))).T
+    return np.concatenate([shifts, -shifts]).reshape(-1, *(1,) * (ndim - 1), len(covariance))
+
+
+def _quality(method, inputs, slope, branches, scale, hint):
     """Return the flags, from the gain of the method: heading error per error of its worst reading."""
-    count = len(method.positions)
-    per_reading = np.zeros((count + 3, count + 3))
-    per_reading[:count, :count] = np.eye(count)
-    gain = np.sqrt(_heading_variance(method, inputs, angle, branches[..., 0], per_reading))
+    gain = np.linalg.norm(slope[..., :len(method.positions)], axis=-1)
     cos_latitude = np.cos(inputs[..., -1])
     reach = np.minimum(1 / gain, cos_latitude)
     blind = ~(reach > SINGULAR_SENSITIVITY) | np.isnan(branches[..., 0])

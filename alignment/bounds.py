@@ -15,6 +15,8 @@ from inertial.earth import EARTH_RATE
 
 # Allan deviation of noise with two-sided spectral density B^2 / (2 pi f) is flat at this many B.
 _ALLAN_FLOOR = math.sqrt(2 * math.log(2) / math.pi)
+# Share of the 1/f noise that a fit of one turn lets in from beside the frequency of the turn.
+_LEAK_ONE_WAY, _LEAK_BOTH_WAYS = 0.4, 0.8
 
 
 def heading_slope_t(roll, pitch, heading, latitude):
@@ -106,10 +108,12 @@ def noise_covariance(schedule, noise_density, bias_instability=0.0):
     return covariance
 
 
-def turning_noise_density(noise_density, bias_instability, rate):
+def turning_noise_density(noise_density, bias_instability, rate, turns=math.inf, both_ways=False):
     """Return the density of the noise that a steadily turning table lets into the heading.
 
-    Turning moves the Earth rate to the frequency of the turn, where 1/f noise has this much left.
+    Turning moves the Earth rate to the frequency of the turn, where 1/f noise has this much left. A fit of few turns
+    lets other frequencies in, too: at most as much as allowed for here (exact covariances of fits of one turn to
+    eight, in test_rotation).
 
     Parameters
     ----------
@@ -117,9 +121,14 @@ def turning_noise_density(noise_density, bias_instability, rate):
     bias_instability : float, rad/s
     rate : float, rad/s
         Of the table, not zero.
+    turns : float
+        That have been made.
+    both_ways : bool
+        Whether the response to the rate is fitted, too.
     """
     # Density B^2 / (2 pi f) at f = rate / (2 pi).
-    return math.sqrt(noise_density ** 2 + (bias_instability / _ALLAN_FLOOR) ** 2 / abs(rate))
+    leak = 1.0 + (_LEAK_BOTH_WAYS if both_ways else _LEAK_ONE_WAY) / math.sqrt(turns)
+    return math.sqrt(noise_density ** 2 + leak * (bias_instability / _ALLAN_FLOOR) ** 2 / abs(rate))
 
 
 def predicted_heading_std(schedule, noise_density, bias_instability, roll, pitch, heading, latitude):

@@ -117,8 +117,8 @@ def wrap_angle(angle):
     return (np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi
 
 
-def propagate_covariance(function, inputs, steps, covariance):
-    """Return the first-order covariance of a function's outputs.
+def central_jacobian(function, inputs, steps):
+    """Return the derivatives of a function's outputs by central differences, (..., m, n).
 
     Parameters
     ----------
@@ -126,15 +126,17 @@ def propagate_covariance(function, inputs, steps, covariance):
         (..., n) to (..., m).
     inputs : (..., n) float64
     steps : (n,) float64
-        Half widths of the central differences, in the unit of each input.
-    covariance : (..., n, n) float64
-        Of the inputs.
-
-    Returns
-    -------
-    (..., m, m) float64
+        Half widths of the differences, in the unit of each input.
     """
-    columns = [(function(inputs + step) - function(inputs - step)) / (2 * size)
-               for size, step in zip(steps, np.diag(steps), strict=True)]
-    jacobian = np.stack(columns, axis=-1)
+    shifts = np.diag(steps).reshape(len(steps), *(1,) * (inputs.ndim - 1), len(steps))
+    change = np.moveaxis(function(inputs + shifts) - function(inputs - shifts), 0, -1)
+    return change / (2 * np.asarray(steps))
+
+
+def propagate_covariance(function, inputs, steps, covariance):
+    """Return the first-order covariance of a function's outputs, (..., m, m).
+
+    Parameters as of :func:`central_jacobian`; ``covariance`` (..., n, n) is of the inputs.
+    """
+    jacobian = central_jacobian(function, inputs, steps)
     return jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)

@@ -131,7 +131,8 @@ class SteadyRotation:
     @property
     def _rate_density(self):
         params = self.params
-        return turning_noise_density(params.gyro_noise_density, params.gyro_bias_instability, self._rate)
+        return turning_noise_density(params.gyro_noise_density, params.gyro_bias_instability, self._rate,
+                                     self._travel / (2 * math.pi), self.both_ways)
 
     def fits(self):
         """Return the harmonic fits of the x and y gyros and of the x, y and z accelerometers.

@@ -203,13 +203,15 @@ class TableSession:
             return f"{len(self.dwells)} of at least {_FEWEST_ANGLES} table angles so far"
         return self.result.reason
 
-    def compare(self, names=METHODS):
+    def compare(self, names=METHODS, levels=True):
         """Return levels and headings by every method that can be had: two dicts, name to result.
 
         Parameters
         ----------
         names : iterable of str
             Heading methods wanted.
+        levels : bool
+            Whether all levelling methods are wanted, and not only the joint one.
 
         Raises
         ------
@@ -217,7 +219,7 @@ class TableSession:
             No dwell yet.
         """
         source = self._source or self._station
-        levels = source.compare_levels()
+        levels = source.compare_levels() if levels else {"joint": source.result().level}
         headings = {} if self._no_latitude else source.compare_headings(levels.get(self.params.levelling), names)
         return levels, headings
 
@@ -295,7 +297,7 @@ class TableSession:
         method, levelling = self.params.method, self.params.levelling
         if method == levelling == "joint" or found.north is None:
             return found, ""
-        levels, headings = self.compare([method])
+        levels, headings = self.compare([method], levels=levelling != "joint")
         lacking = [name for name, there in ((levelling, levels), (method, headings)) if name not in there]
         if lacking:
             missing = f"{lacking[0]} lacks a position: the sequence goes on"

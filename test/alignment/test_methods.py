@@ -5,7 +5,7 @@ import pytest
 
 from alignment import azimuth, levelling
 from alignment.errors import NotEnoughDataError
-from alignment.results import Quality, wrap_angle
+from alignment.results import UNBELIEVABLE, Quality, wrap_angle
 from alignment.sequences import FOUR_POSITIONS, single_pass
 from alignment.turntable import (
     TriadErrors,
@@ -198,6 +198,9 @@ def test_bad_arguments_are_named():
         levelling.levelling_2([0.0, np.pi, 0.0], [1.0, 2.0, 1.0])
 
 
+FEWEST_GIVEN = 0.4  # share of headings round the circle that a form must still give
+FORMS_SQUARE = (0.5, 1.4)  # of z: a second-order variance is cautious, a bent equation not normal
+FORMS_BEYOND = 0.01  # share beyond 4 sigma
 COVARIANCE_TRIALS = 4000
 COVARIANCE_RATIO = 0.08  # 3.5 deviations of a sample variance from 4000 trials
 
@@ -238,3 +241,21 @@ def test_levelling_covariance_is_that_of_a_monte_carlo(number):
     assert np.diag(found) / np.diag(stated) == pytest.approx(1.0, abs=COVARIANCE_RATIO)
     limit = COVARIANCE_RATIO * np.sqrt(stated[0, 0] * stated[1, 1])
     assert found[0, 1] == pytest.approx(stated[0, 1], abs=limit)
+
+
+@pytest.mark.parametrize("method", azimuth.METHODS)
+@pytest.mark.parametrize("noise", [0.003, 0.03])
+def test_what_noise_leaves_of_a_closed_form_is_as_good_as_it_says_or_is_flagged(method, noise):
+    """Where equations bend or lose their solution within the noise, first order alone is far too sure."""
+    rng = np.random.default_rng(1)
+    heading = rng.uniform(-np.pi, np.pi, 2000)
+    roll, pitch, latitude = 50 * DEG, 30 * DEG, 35 * DEG
+    columns = [COLUMNS[place] for place in azimuth.find_method(method).positions]
+    rate = _in_plane_rates(roll, pitch, heading, latitude)[..., columns]
+    rate = rate + noise * EARTH_RATE * rng.standard_normal(rate.shape)
+    result = azimuth.find_azimuth(method, rate, roll, pitch, latitude, angle=ANGLE_2, hint=heading,
+                                  rate_covariance=(noise * EARTH_RATE) ** 2 * np.eye(len(columns)))
+    good = result.quality & UNBELIEVABLE.value == 0
+    z = wrap_angle(result.heading - heading)[good] / result.std[good]
+    assert good.mean() > FEWEST_GIVEN
+    assert FORMS_SQUARE[0] < np.mean(z ** 2) < FORMS_SQUARE[1] and np.mean(np.abs(z) > 4.0) < FORMS_BEYOND

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from alignment.azimuth import METHODS
+from alignment.bounds import noise_covariance, turning_noise_density
 from alignment.errors import NotEnoughDataError
 from alignment.harmonic import fit_harmonic
 from alignment.params import AlignmentParams
@@ -23,6 +24,7 @@ PARAMS = AlignmentParams(
     latitude=LATITUDE, gyro_noise_density=NOISE.noise_density, gyro_bias_instability=0.01 * DEG / 3600, scale_std=2e-5,
     skew_std=2e-5, gravity=9.80665, accel_noise_density=1e-4, accel_scale_std=1e-4)
 SIGMAS = 4.5  # a good estimate is outside once in 150 000
+LEAST_OF_STATED = 0.7  # of a sigma: half a turn each way, where it is the most cautious
 SAME = 1e-9  # of a heading's deviation: rounding
 TABLE = Turntable(20 * DEG, -15 * DEG, 140 * DEG, LATITUDE)
 
@@ -81,6 +83,24 @@ def test_the_stated_deviation_is_that_of_many_runs():
         result = _rotation(_turned(seconds=120.0, seed=seed)).result()
         normalised.append(_error(result) / result.north.std)
     assert 0.5 < np.mean(np.square(normalised)) < 1.7  # chi-square of 40, 99.5 %
+
+
+@pytest.mark.parametrize("both_ways", [True, False])
+@pytest.mark.parametrize("turns", [1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 8.0])
+def test_few_turns_let_in_no_more_of_the_1_f_noise_than_is_counted(turns, both_ways):
+    """The exact covariance of the fit, in its worst direction, against the density that the heading's sigma has."""
+    rate, instability = 6 * DEG, 1.0 * DEG / 3600
+    interval = 2 * math.pi / rate / 30
+    schedule = continuous_rotation(rate, turns * 2 * math.pi / rate, interval, both_ways)
+    columns = np.stack([np.ones_like(schedule.angle), np.cos(schedule.angle), np.sin(schedule.angle)]
+                       + [schedule.rate] * both_ways, axis=1)
+    normal = columns.T @ columns
+    gain = np.linalg.solve(normal, columns.T)
+    exact = (gain @ noise_covariance(schedule, 1e-9, instability) @ gain.T)[1:3, 1:3]
+    stated = np.linalg.inv(normal)[1:3, 1:3] \
+        * turning_noise_density(1e-9, instability, rate, turns, both_ways) ** 2 / interval
+    worst = np.sqrt(np.linalg.eigvals(np.linalg.solve(stated, exact)).real.max())
+    assert LEAST_OF_STATED < worst < 1.0
 
 
 def test_every_closed_form_is_served_but_the_tipped_sensor():
