@@ -31,7 +31,7 @@ VD, ALT, BG, BA = 3, 4, 5, 8
 # Filter state: first what every model has, then what only the default one has.
 (X, P, ATTITUDE, ELAPSED, INTERVAL, HELD, STUCK, CLIPPED, GYRO, ACCEL, GYRO_LP, ACCEL_LP, GYRO_SPREAD,
  ACCEL_SPREAD, ACCEL_VIBRATION, REST, REST_GYRO_LP, REST_ACCEL_LP, NORTH, YAW_STD, YAW_VAR, ALT_COUNT, SINCE_ALT,
- GRAVITY, GRAVITY_BG, GRAVITY_BA, SINCE_GRAVITY, RESIDUAL, LASTING, FREE_FALL,
+ GRAVITY, GRAVITY_BG, GRAVITY_BA, SINCE_GRAVITY, RESIDUAL, LASTING, PULLING, PULLED_COV, PULLED, FREE_FALL,
  ALT_LAST, ALT_BEFORE, ALT_SPREAD, ALT_STEP, ALT_PERSISTENCE, ALT_REFUSED,
  STATE_SIZE) = _offsets(
     N, N * N,
@@ -47,6 +47,9 @@ VD, ALT, BG, BA = 3, 4, 5, 8
     3, 9, 9,  # GRAVITY low-passed force; -1/g of its sensitivity to gyro bias; to accelerometer bias
     1, 1,  # SINCE_GRAVITY s; RESIDUAL (m/s^2)^2, held maximum
     3,  # LASTING m/s^2, the residual low-passed in the frame that the gyro carries
+    # A lasting acceleration that is considered, not estimated: PULLING (m/s^2)^2 of an axis, its covariance with
+    # the tilt that it has pulled along (m/s^2 rad), PULLED rad^2 of that tilt.
+    1, 1, 1,
     1,  # FREE_FALL: 1 while the low-passed force is too small to show gravity
     1, 1, 1, 1, 1, 1)  # last altitudes, their spread (m^2) and resolution (m), jump tests
 PH = STATE_SIZE  # scratch behind the state: covariance times a measurement's row
@@ -60,7 +63,7 @@ PARAMETER_NAMES = (
     "gyro_bias_std", "gyro_bias_walk", "accel_bias_std", "accel_bias_time",
     "gravity_time", "gravity_floor_std", "gravity_residual_share", "gravity_decay_time",
     "gravity_correlation", "gravity_lasting_time", "gravity_lasting_share", "gravity_lasting_share_alone",
-    "gravity_start_std", "gravity_bias_share",
+    "gravity_pull_time", "gravity_start_std", "gravity_bias_share",
     "rest_gyro_std", "rest_accel_std",
     "altitude_std", "altitude_drift_density", "altitude_scale_error", "altitude_delay", "altitude_delay_std",
     "altitude_gate", "altitude_step_gate",
@@ -103,7 +106,8 @@ SNAPSHOTS = 16
  P_VIBRATION_SHARE,
  P_GYRO_BIAS_STD, P_GYRO_BIAS_WALK, P_ACCEL_BIAS_STD, P_ACCEL_BIAS_TIME,
  P_GRAVITY_TIME, P_GRAVITY_FLOOR, P_GRAVITY_SHARE, P_GRAVITY_DECAY,
- P_CORRELATION, P_LASTING_TIME, P_LASTING_SHARE, P_LASTING_ALONE, P_START_STD, P_BIAS_SHARE,
+ P_CORRELATION, P_LASTING_TIME, P_LASTING_SHARE, P_LASTING_ALONE,
+ P_PULL_TIME, P_START_STD, P_BIAS_SHARE,
  P_REST_GYRO_STD, P_REST_ACCEL_STD,
  P_ALT_STD, P_ALT_DRIFT, P_ALT_SCALE_ERROR, P_ALT_DELAY, P_ALT_DELAY_STD,
  P_ALT_GATE, P_ALT_STEP_GATE,
@@ -118,6 +122,7 @@ LOWPASS_TIME = 0.5  # s
 REST_GYRO = math.radians(2.0)  # rad/s about the low-pass
 REST_ACCEL = 0.5  # m/s^2 about the low-pass
 REST_MEMORY = 3.0  # s over which a slow motion shows that passes for rest
+REST_PULLED = 0.25  # of the tilt's variance: with more pulled along, quiet may be a steady acceleration
 ALTITUDE_AIDS = 10.0  # s after an altitude in which another one is still to come
 GRAVITY_PERIOD = 0.05  # s between gravity updates
 FREE_FALL_SHARE = 0.5  # of gravity, below which the low-passed force shows no direction
@@ -407,13 +412,24 @@ def _level_north(m):
 
 
 @compiled
+def _tilt_variance(m):
+    """Squared error of the down direction, rad^2."""
+    return m[P] + m[P + N + 1] + m[P + 2 * (N + 1)]
+
+
+@compiled
 def _expected_residual(m):
     """Squared gravity residual, (m/s^2)^2, that errors of tilt and accelerometer bias explain."""
-    tilt = m[P] + m[P + N + 1] + m[P + 2 * (N + 1)]
     bias = 0.0
     for i in range(BA, N):
         bias += m[P + (N + 1) * i]
-    return m[P_GRAVITY] ** 2 * tilt + bias
+    return m[P_GRAVITY] ** 2 * _tilt_variance(m) + bias
+
+
+@compiled
+def _aided(m):
+    """Whether there is an altimeter, so that something else than gravity shows a tilt that is off."""
+    return m[ALT_COUNT] > 1.0 and m[SINCE_ALT] < ALTITUDE_AIDS
 
 
 @compiled
@@ -435,16 +451,34 @@ def _gravity_variance(m, elapsed):
     m[RESIDUAL] = max(residual, m[RESIDUAL] + fall * (residual - m[RESIDUAL]))
     m[FREE_FALL] = 1.0 if norm2 < (FREE_FALL_SHARE * g) ** 2 else 0.0
     expected = _expected_residual(m)
-    if residual > 16.0 * (m[P_REST_ACCEL_STD] ** 2 + expected):
+    if t > 3.0 * m[P_LASTING_TIME]:  # what the blind start left there is gone
+        m[PULLING] = max(0.5 * (lasting - expected), m[PULLING] * (1.0 - elapsed / m[P_PULL_TIME]))
+    if (residual > 16.0 * (m[P_REST_ACCEL_STD] ** 2 + expected)
+            or 2.0 * m[PULLED] > REST_PULLED * _tilt_variance(m)):
         m[REST] = 0.0  # a steady braking or climb is as quiet as rest
     if m[REST] >= REST_TIME:
         return (m[P_REST_ACCEL_STD] ** 2 + moved) * max(1.0, 1.0 / elapsed)
     variance = (m[P_GRAVITY_FLOOR] ** 2 + m[P_GRAVITY_SHARE] ** 2 * m[RESIDUAL]
                 + m[P_START_STD] ** 2 / (1.0 + 4.0 * t * t))
-    aided = m[ALT_COUNT] > 1.0 and m[SINCE_ALT] < ALTITUDE_AIDS
-    share = m[P_LASTING_SHARE] if aided else m[P_LASTING_ALONE]
+    share = m[P_LASTING_SHARE] if _aided(m) else m[P_LASTING_ALONE]
     return (variance * max(1.0, m[P_CORRELATION] * min(m[P_GRAVITY_TIME], t) / elapsed)
             + share * max(lasting - expected, 0.0) * min(m[P_LASTING_TIME], t) / elapsed)
+
+
+@compiled
+def _consider_pull(m, elapsed, noise):
+    """Carry the covariance of a lasting acceleration with the tilt that this gravity update pulls along.
+
+    Schmidt's considered state: it takes no part in the estimate. Each update the tilt's error e takes its share
+    of the acceleration's a/g: e+ = (1 - share) e + share a/g.
+    """
+    g = m[P_GRAVITY]
+    tilt = 0.5 * g * g * _tilt_variance(m)
+    share = tilt / (noise + tilt)
+    keep = 1.0 - share
+    pulling = 0.0 if _aided(m) or m[REST] >= REST_TIME else m[PULLING]
+    m[PULLED] = keep * keep * m[PULLED] + 2.0 * keep * share * m[PULLED_COV] / g + (share / g) ** 2 * pulling
+    m[PULLED_COV] = (keep * m[PULLED_COV] + share * pulling / g) * (1.0 - elapsed / m[P_PULL_TIME])
 
 
 @compiled
@@ -454,6 +488,7 @@ def row_gravity_update(m, elapsed):
     noise = _gravity_variance(m, elapsed)
     if m[FREE_FALL] == 1.0:
         return
+    _consider_pull(m, elapsed, noise)
     for i in range(3):
         w, b = GRAVITY_BG + 3 * i, GRAVITY_BA + 3 * i
         y = m[GRAVITY + i] + g * m[X + i]
@@ -512,7 +547,11 @@ def row_altitude_update(m, z, message_var, age):
         return
     m[P + (N + 1) * ALT] += opened
     m[PH + ALT] += opened
+    before = _tilt_variance(m)
     _row_update(m, variance + opened, y, 1.0)
+    kept = _tilt_variance(m) / before
+    m[PULLED_COV] *= kept
+    m[PULLED] *= kept * kept
     _normalise(m, N)
 
 
@@ -733,9 +772,9 @@ def write_output(m, out):
             ne -= a[i] * cov * e[j]
             ee += a[i] * cov * a[j]
         out[OUT_DOWN + i] = d[i]
-    out[OUT_TILT_COV] = nn
+    out[OUT_TILT_COV] = nn + m[PULLED]
     out[OUT_TILT_COV + 1] = ne
-    out[OUT_TILT_COV + 2] = ee
+    out[OUT_TILT_COV + 2] = ee + m[PULLED]
     out[OUT_YAW_VAR] = m[YAW_STD] ** 2 + m[YAW_VAR]
     out[OUT_VD] = m[X + VD]
     out[OUT_ALT] = m[X + ALT]

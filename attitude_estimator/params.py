@@ -73,6 +73,9 @@ class LevelParams:
         0.0, 10.0)
     gravity_lasting_share_alone: float = parameter(
         0.1, "", "the same without an altimeter, where gravity alone would show a tilt that is off", 0.0, 10.0)
+    gravity_pull_time: float = parameter(
+        60.0, "s", "without an altimeter: how long an acceleration is reckoned with that may pull the attitude along",
+        1.0, 1e4)
     gravity_start_std: float = parameter(
         4.7, "m/s^2", "distrust of gravity in the first second", 0.0, 50.0)
     gravity_bias_share: float = parameter(

@@ -23,6 +23,8 @@ SECONDS = 100.0
 SEEDS = (1, 2, 3)
 SETTLE = 5.0  # s
 HONEST = 1.3  # NEES/2: 1 is exact
+TRAIN_ALONE = 3.0  # the same without an altimeter: its gyro bias is pulled along, too
+CLOSED = 0.5  # of sigma without the altimeter, half a minute after its return
 BEYOND_3_SIGMA = 0.08
 BIAS_SIGMAS = 4.0  # that a bias may be off by after the first seconds
 START_RMS_DEG = 12.0  # over half a minute, from a start at 30 to 42 deg of bank
@@ -112,6 +114,29 @@ def test_what_passes_for_rest_or_gravity_costs_little_and_the_covariance_knows(n
     assert np.degrees(np.sqrt(np.mean(squares))) < limit_deg
     assert np.mean(nees) < honest
     assert np.mean(beyond) < BEYOND_3_SIGMA
+
+
+@pytest.mark.parametrize(("name", "honest"), [("train", TRAIN_ALONE), ("loiter", HONEST)])
+def test_without_an_altimeter_long_accelerations_pull_the_attitude_along_and_the_covariance_knows(name, honest):
+    nees, beyond = [], []
+    for recording, down_b in _runs(Trajectory(name, SECONDS, MOTIONS[name][0], STANDARD_GRAVITY)):
+        estimates, _ = AttitudeEstimator().run(recording.imu)
+        _, one_nees, one_beyond = _judge(estimates, down_b, SETTLE)
+        nees.append(np.mean(one_nees))
+        beyond.append(np.mean(one_beyond))
+    assert np.mean(nees) < honest
+    assert np.mean(beyond) < BEYOND_3_SIGMA
+
+
+def test_once_there_is_an_altimeter_again_the_covariance_closes():
+    recording, _ = next(_runs(Trajectory("loiter", SECONDS, MOTIONS["loiter"][0], STANDARD_GRAVITY)))
+    altitude = recording.altitude
+    seconds = (altitude.stamp_ns - altitude.stamp_ns[0]) * 1e-9
+    back = (seconds < 5.0) | (seconds > 60.0)
+    altitude = AltitudeSeries(altitude.stamp_ns[back], altitude.altitude[back], altitude.arrival[back])
+    estimates, _ = AttitudeEstimator().run(recording.imu, altitude)
+    sigma = np.sqrt(np.trace(estimates.tilt_covariance_n, axis1=1, axis2=2))
+    assert sigma[round(95 * RATE)] < CLOSED * sigma[round(60 * RATE)]
 
 
 @pytest.mark.parametrize("name", ["hand", "boat"])
