@@ -8,6 +8,8 @@ import contextlib
 import sqlite3
 import struct
 import warnings
+from collections import Counter
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,6 +25,7 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderError, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import Stores, get_typestore
 
 from inertial.recording import AltitudeSeries, AttitudeSeries, ImuSeries, Recording
@@ -257,34 +260,49 @@ def read_messages(path, topics=None):
 
 
 class _McapWriter(McapWriter):
-    """rosbags' writer with a message packed at once: a third of the time, the same bytes."""
+    """rosbags' writer for many messages at once: a fifth of the time, the same bytes."""
 
     _message = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 
-    def write(self, connection, timestamp, data):
-        """Append one message."""
-        chunk, channel = self.chunk, connection.id
-        if timestamp < chunk.message_start_time:
-            chunk.message_start_time = timestamp
-            self.message_start_time = min(timestamp, self.message_start_time)
-        if timestamp > chunk.message_end_time:
-            chunk.message_end_time = timestamp
-            self.message_end_time = max(timestamp, self.message_end_time)
-        self.channel_stats[channel] += 1
-        bio, size = chunk.bio, len(data)
-        start = bio.tell()
-        chunk.msgs[channel].append((timestamp, start))
-        bio.write(self._message.pack(5, 22 + size, channel, 0, timestamp, timestamp))
-        bio.write(data)
-        if start + self._message.size + size > 2**20:
-            self.close_chunk()
+    def write_all(self, messages, channels):
+        """Append a list of (topic, receive_ns, raw); `channels` has each topic's number."""
+        pack, head = self._message.pack, self._message.size
+        end = self.chunk.bio.tell()
+        for topic, receive_ns, raw in messages:
+            channel, size = channels[topic], len(raw)
+            self.chunk.msgs[channel].append((receive_ns, end))
+            self.chunk.bio.write(pack(5, head - 9 + size, channel, 0, receive_ns, receive_ns) + raw)
+            end += head + size
+            if end > 2**20:
+                self.close_chunk()
+                end = 0
+
+    def close_chunk(self):
+        """End the chunk, whose times and counts are those of its messages."""
+        chunk = self.chunk
+        for channel, messages in chunk.msgs.items():
+            self.channel_stats[channel] += len(messages)
+            chunk.message_start_time = min(chunk.message_start_time, min(messages)[0])
+            chunk.message_end_time = max(chunk.message_end_time, max(messages)[0])
+        self.message_start_time = min(self.message_start_time, chunk.message_start_time)
+        self.message_end_time = max(self.message_end_time, chunk.message_end_time)
+        super().close_chunk()
+
+
+class _Sqlite3Writer(Sqlite3Writer):
+    """rosbags' writer for many messages at once."""
+
+    def write_all(self, messages, topics):
+        """Append a list of (topic, receive_ns, raw); `topics` has each topic's number."""
+        self.cursor.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES(?, ?, ?)",
+                                [(topics[topic], receive_ns, raw) for topic, receive_ns, raw in messages])
 
 
 _UNWRITABLE = (OSError, sqlite3.Error)  # a full disk, for example
 
 
 class _Writer(Writer):
-    STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _McapWriter}
+    STORAGE_PLUGINS = {StoragePlugin.MCAP: _McapWriter, StoragePlugin.SQLITE3: _Sqlite3Writer}
 
 
 class BagWriter:
@@ -295,7 +313,7 @@ class BagWriter:
     path : path-like
         The folder to make; its name becomes that of the file in it.
     topics : dict
-        Topic -> message type, the most written one first (rosbags searches its list at every write).
+        Topic -> message type.
     storage : {"mcap", "sqlite3"}
         MCAP is compressed by zstd in chunks.
 
@@ -320,9 +338,9 @@ class BagWriter:
         except OSError as error:
             raise BagError(f"{path}: cannot be written ({error.strerror})") from error
         store = get_typestore(Stores.ROS2_JAZZY)
-        self._connections = {
+        self._numbers = {
             topic: self._writer.add_connection(topic, message_type, typestore=store,
-                                               offered_qos_profiles=[_SENSOR_QOS])
+                                               offered_qos_profiles=[_SENSOR_QOS]).id
             for topic, message_type in topics.items()}
 
     def __enter__(self):
@@ -341,24 +359,33 @@ class BagWriter:
             raise self._cut_off(error) from error
 
     def write(self, topic, receive_ns, raw):
-        """Append one serialized message.
+        """Append one serialized message; as :meth:`write_all`."""
+        self.write_all([(topic, receive_ns, raw)])
+
+    def write_all(self, messages):
+        """Append serialized messages.
 
         Parameters
         ----------
-        topic : str
-            One of those given at the start.
-        receive_ns : int
-        raw : bytes
+        messages : list of (topic, receive_ns, raw)
+            Of the topics given at the start.
 
         Raises
         ------
         BagError
             The disk is full, for example; what was written before stays.
         """
+        if not messages:
+            return
+        writer = self._writer
         try:
-            self._writer.write(self._connections[topic], receive_ns, raw)
+            writer.storage.write_all(messages, self._numbers)
         except _UNWRITABLE as error:
             raise self._cut_off(error) from error
+        for topic, count in Counter(map(itemgetter(0), messages)).items():
+            writer.counts[self._numbers[topic]] += count
+        writer.min_timestamp = min(writer.min_timestamp, min(map(itemgetter(1), messages)))
+        writer.max_timestamp = max(writer.max_timestamp, max(map(itemgetter(1), messages)))
 
     def _cut_off(self, error):
         reason = getattr(error, "strerror", None) or error

@@ -125,8 +125,7 @@ def simulate_bag_main(arguments=None):
             rest=options.rest)
         types, messages = recorded_messages(recording, options.pressure)
         with BagWriter(options.out, types, options.storage) as writer:
-            for message in progress(messages, "writing"):
-                writer.write(*message)
+            writer.write_all(messages)
         print(f"{options.out}: {options.scenario}, {options.duration:g} s, {len(messages)} messages on "
               f"{', '.join(types)}")
 

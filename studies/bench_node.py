@@ -94,8 +94,7 @@ def _write_bag(path, rate, seconds):
     recording = simulate("turn", duration=seconds, imu_rate=rate)
     types, messages = recorded_messages(recording)
     with BagWriter(path, types) as writer:
-        for message in messages:
-            writer.write(*message)
+        writer.write_all(messages)
     return len(messages)
 
 
