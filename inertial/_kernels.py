@@ -112,8 +112,8 @@ def first_order_recursion(decay, drive):
     drive : (N, M) float64
     """
     out = np.empty_like(drive)
-    out[0] = drive[0]
-    for k in range(1, len(drive)):
+    # Element by element: a row assigned to a row would compile its shape's error message, ten seconds of it.
+    for k in range(len(drive)):
         for i in range(drive.shape[1]):
-            out[k, i] = decay[k] * out[k - 1, i] + drive[k, i]
+            out[k, i] = drive[k, i] + (decay[k] * out[k - 1, i] if k > 0 else 0.0)
     return out

@@ -241,7 +241,7 @@ def kalman_update(P, H, R, y, d, dx, gate):
     ----------
     P : (n, n), H : (3, n), R : (3, 3), y : (3,), dx : (n,)
     d : int
-        Components of the measurement, at most three.
+        Components of the measurement, at most three. Never a literal: each would be compiled for itself.
     gate : float
         Largest normalised squared innovation.
 
@@ -413,7 +413,7 @@ def mekf_heading_update(q, bias, P, heading, variance, gate):
     estimate = _heading_row(c, H)
     y[0] = _wrap(heading - estimate) if estimate == estimate else math.nan
     R[0, 0] = variance
-    nis = kalman_update(P, H, R, y, 1, dx, gate)
+    nis = kalman_update(P, H, R, y, len(y), dx, gate)
     if nis <= gate:
         _turn_navigation(q, dx[0], dx[1], dx[2])
         for i in range(3):
@@ -1023,12 +1023,12 @@ def _take_starting(m, kind, z, cov, age, L):
     rows, R, y = np.zeros((3, N_BLIND)), np.empty((2, 2)), np.empty(2)
     H, dx = rows[:2], rows[2]
     P = m[X_BLIND_COV:X_BLIND_ON].reshape((N_BLIND, N_BLIND))
-    gate = _gate(m, kind, 2)
+    gate = _gate(m, kind, len(y))
     if gate == math.inf:
         _start_blind(m)  # what contradicts the aids for so long was wrong from its first fix
     _blind_model(m, kind, z, cov, age, _level_yaw(L), H, R, y)
-    nis = kalman_update(P, H, R, y, 2, dx, gate)
-    _judge(m, kind, nis, 2, gate)
+    nis = kalman_update(P, H, R, y, len(y), dx, gate)
+    _judge(m, kind, nis, len(y), gate)
     if nis <= gate:
         if kind == K_FIX:
             _follow_slow_error(m, cov)
@@ -1076,7 +1076,7 @@ def _take(m, aid, age, L):
     _correct(m, dx)
     if cascade and kind == K_VELOCITY and _level_by_velocity(m, z, cov, age, H, R, y):
         level_gate = m[P_GATE] + 6.0
-        if kalman_update(P, H, R, y, 3, dx, level_gate) <= level_gate:
+        if kalman_update(P, H, R, y, len(y), dx, level_gate) <= level_gate:
             _correct(m, dx)
 
 
