@@ -33,7 +33,8 @@ setup(
     ],
     zip_safe=True,
     python_requires=">=3.10",
-    install_requires=["apsw", "lz4", "numba", "numpy>=1.26,<3", "rosbags>=0.11", "ruamel.yaml", "tqdm"],
+    # rosbags brings what else reads bags: apsw, lz4 and, before Python 3.14, backports.zstd.
+    install_requires=["numba", "numpy>=1.26,<3", "rosbags>=0.11", "ruamel.yaml", "tqdm"],
     extras_require={
         # rclpy, the messages and a middleware as wheels; a machine with ROS 2 has its own.
         "ros": [

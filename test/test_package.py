@@ -93,6 +93,14 @@ def test_manifest_names_every_ros_package_that_is_imported(repository, manifest)
     assert imported <= declared
 
 
+def test_manifest_and_setup_require_the_same_libraries(manifest):
+    required = {re.match(r"[\w.-]+", text)[0] for text in metadata(PACKAGE).get_all("Requires-Dist")
+                if "extra ==" not in text}
+    keys = {element.text for element in manifest.findall("exec_depend") if element.text.startswith("python3-")}
+    libraries = {key.removeprefix("python3-").removesuffix("-pip") for key in keys}
+    assert libraries == required | {"matplotlib"}  # which draws reports; pip has it as an extra
+
+
 @pytest.mark.parametrize("name", own_executables())
 def test_executable_answers(name, tmp_path):
     arguments = ["--ros-args", "-p", "bag:=/there/is/no/bag", "-p", "estimator:=none",
