@@ -196,8 +196,7 @@ def replay_and_listen(bag, expected, rate, folder, progress):
                                                  "-p", "wait_for_subscribers:=2"])
         cleanup.callback(replay.end)
 
-        progress.tell("waiting for attitude_node (its first start compiles the kernels, about a minute)")
-        _wait_for_attitude(executor, listener, attitude, replay)
+        _wait_for_attitude(executor, listener, attitude, replay, progress)
         table = Process("replay_node", folder, [
             *table_arguments, "-p", f"bag:={bundled_bag('turntable')}", "-p", f"rate:={TABLE_RATE}"],
             "_table")
@@ -214,9 +213,12 @@ def replay_and_listen(bag, expected, rate, folder, progress):
         return listener, (attitude.cpu_time() - cpu_start) / max(handled, 1)
 
 
-def _wait_for_attitude(executor, listener, attitude, replay):
+def _wait_for_attitude(executor, listener, attitude, replay, progress):
     since, used = time.monotonic(), 0.0
     while not listener.attitudes:
+        _, compiles, kernel = attitude.said.rpartition("]: ")[2].partition("compiling ")
+        progress.tell("waiting for attitude_node"
+                      + (f", which compiles {kernel.partition(' (')[0]} (a minute in all, once)" if compiles else ""))
         _spin(executor, [attitude, replay], 0.2)
         if attitude.cpu_time() - used > WORKING * PATIENCE:
             since, used = time.monotonic(), attitude.cpu_time()
