@@ -122,6 +122,7 @@ LOWPASS_TIME = 0.5  # s
 REST_GYRO = math.radians(2.0)  # rad/s about the low-pass
 REST_ACCEL = 0.5  # m/s^2 about the low-pass
 REST_MEMORY = 3.0  # s over which a slow motion shows that passes for rest
+REST_BIAS = 6.25  # squared sigmas of the gyro bias: a steady rate that is larger is a turn
 REST_PULLED = 0.25  # of the tilt's variance: with more pulled along, quiet may be a steady acceleration
 ALTITUDE_AIDS = 10.0  # s after an altitude in which another one is still to come
 GRAVITY_PERIOD = 0.05  # s between gravity updates
@@ -659,7 +660,7 @@ def _track(m, dt, wx, wy, wz, fx, fy, fz):
         df2 += (f[i] - m[ACCEL_LP + i]) ** 2
         if m[P_MODEL] == 0.0:
             bias = m[GYRO_LP + i] - m[X + BG + i] - m[P_EARTH_RATE_DOWN] * m[X + i]
-            turning |= bias * bias > 16.0 * (m[P + (N + 1) * (BG + i)] + m[P_REST_GYRO_STD] ** 2)
+            turning |= bias * bias > REST_BIAS * (m[P + (N + 1) * (BG + i)] + m[P_REST_GYRO_STD] ** 2)
     m[GYRO_SPREAD] += gain * (dw2 - m[GYRO_SPREAD])
     m[ACCEL_SPREAD] += gain * (df2 - m[ACCEL_SPREAD])
     m[ACCEL_VIBRATION] += gain * (step2 / 6.0 - m[ACCEL_VIBRATION])

@@ -141,7 +141,7 @@ class DefaultTwin(PaperTwin):
         still = (np.linalg.norm(gyro - self.gyro_lp) < np.radians(2.0)
                  and np.linalg.norm(accel - self.accel_lp) < 0.5
                  and abs(np.linalg.norm(accel) - GRAVITY) < 0.3 + 3 * self.p.accel_bias_std
-                 and np.all((self.gyro_lp - self.x[5:8]) ** 2 <= 16 * bias_var))
+                 and np.all((self.gyro_lp - self.x[5:8]) ** 2 <= 6.25 * bias_var))
         slow = dt / (min(self.rest, 3.0) + dt)
         self.rest_gyro = self.rest_gyro + slow * (self.gyro_lp - self.rest_gyro)
         self.rest_accel = self.rest_accel + slow * (self.accel_lp - self.rest_accel)
