@@ -29,7 +29,6 @@ from inertial.recording import AltitudeSeries, ImuSeries
 from nav_ros.altitude_source import AltitudeRefusedError, AltitudeSource
 from nav_ros.bag_to_bag import BagEstimator, bags_parser, estimate_bag_to_bag, estimate_bags
 from nav_ros.bags import TYPES, BagError, BagWarning, read_recording
-from nav_ros.bias_file import read_biases
 from nav_ros.cli import topics_of
 from nav_ros.frames import swap_flu_frd
 from nav_ros.imu_check import ImuCheck
@@ -69,9 +68,7 @@ class AttitudeBagEstimator(BagEstimator):
             check_smoothable(params)
             self.part = math.inf
         self._smoothed = smoothed
-        self._stored = read_biases(params.bias_file) if params.bias_file else None
-        if params.bias_file and self._stored is None:
-            warnings.warn(f"bias_file = {params.bias_file!r}: there is no such file", BagWarning, stacklevel=2)
+        self._stored = self.stored_biases()
         if smoothed and self._stored is not None:
             raise ValueError(f"bias_file = {params.bias_file!r}: the smoother finds the biases from both ends")
         self._noise = MessageNoise()

@@ -25,7 +25,6 @@ from attitude_estimator.edge import (
 )
 from attitude_estimator.rivals import make_estimator
 from nav_ros.altitude_source import AltitudeSource
-from nav_ros.bias_file import BiasFileError, read_biases, write_biases
 from nav_ros.diagnostics import Level
 from nav_ros.frames import swap_flu_frd
 from nav_ros.imu_check import ImuCheck
@@ -54,7 +53,6 @@ TWO_ALTIMETERS = 5.0  # s within which both have been heard
 ERROR_SHARE = 0.01  # of refused samples
 STUCK_ERROR_SAMPLES = 500
 FOUND_MOVING_NS = 60_000_000_000  # after which a start in motion has been corrected
-STORE_PERIOD = 60.0  # s between two writings of bias_file
 
 
 class AttitudeNode(SensorNode):
@@ -65,7 +63,8 @@ class AttitudeNode(SensorNode):
         self._messages = OutputMessages(self.params.mounting_rpy)
         self.prepare(self._warm_up)
         self._estimator = make_estimator(self.params)
-        self._stored = self._stored_biases()
+        path = self.params.bias_file
+        self._stored = self.keep_biases(path, self._newest_biases) if path else None
         self._noise = MessageNoise()
         self._check = ImuCheck(self._messages.mounting.up_imu)
         self._resets, self._found = 0, None
@@ -76,8 +75,6 @@ class AttitudeNode(SensorNode):
         on_change(self, self.params, self._apply)
         for topic, kind in MESSAGE_TYPES.items():
             self.advertise(kind, topic, qos_told=topic == "imu/data")
-        if self.params.bias_file:
-            self.create_timer(STORE_PERIOD, self._store_biases)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/level", self._on_level)
         self.create_service(SetBool, "~/use_altitude", self._on_use_altitude)
@@ -93,33 +90,9 @@ class AttitudeNode(SensorNode):
         make_estimator(self.params).warm_up()
         TimeGate(self.params).check(1)
 
-    def _stored_biases(self):
-        """Return the biases of the last run, None where there are none that can be used."""
-        if not self.params.bias_file:
-            return None
-        try:
-            stored = read_biases(self.params.bias_file)
-        except BiasFileError as error:
-            self.get_logger().warning(f"{error}: starting without")
-            return None
-        if stored is None:
-            self.get_logger().info(f"no {self.params.bias_file} yet")
-        return stored
-
-    def _store_biases(self):
+    def _newest_biases(self):
         estimate = self._estimator.estimate
-        if not estimate.valid:
-            return
-        try:
-            write_biases(self.params.bias_file, biases_to_store(estimate))
-        except OSError as error:
-            self.fault("bias_file", f"{self.params.bias_file}: cannot be written: {error.strerror}", Level.WARN)
-
-    def destroy_node(self):
-        """Keep the biases and end."""
-        if self.params.bias_file:
-            self._store_biases()
-        super().destroy_node()
+        return biases_to_store(estimate) if estimate.valid else None
 
     # --- input
 

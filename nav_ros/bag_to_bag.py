@@ -15,6 +15,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from nav_ros.bags import BagError, BagReader, BagWarning, BagWriter, bag_name
+from nav_ros.bias_file import read_biases
 from nav_ros.cli import (
     USAGE_ERROR,
     add_parameter_options,
@@ -34,7 +35,7 @@ class BagEstimator:
 
     Parameters
     ----------
-    params : parameters with an ``altitude_source``
+    params : parameters with an ``altitude_source`` and a ``bias_file``
     bag : nav_ros.bags.BagReader
     topics : dict
         Key -> topic, see :data:`nav_ros.bags.TOPICS`.
@@ -62,6 +63,14 @@ class BagEstimator:
         self.params = params
         self.inputs = bag.inputs(self.keys, topics, params.altitude_source)
         self.counts = Counter()
+
+    def stored_biases(self):
+        """Return what the file of biases holds: None where none is named or, which is told, there is no such file."""
+        path = self.params.bias_file
+        stored = read_biases(path) if path else None
+        if path and stored is None:
+            warnings.warn(f"bias_file = {path!r}: there is no such file", BagWarning, stacklevel=2)
+        return stored
 
     @property
     def told_faults(self):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _TEXT = """\
-# Biases of an IMU as attitude_node last knew them, in its own axes (FLU). Delete this file after a change of IMU.
+# Biases of an IMU as a node last knew them, in its own axes (FLU). Delete this file after a change of IMU.
 stamp_ns: {stamp_ns}
 gyro_bias: {gyro_bias}         # rad/s
 gyro_bias_std: {gyro_bias_std}     # rad/s

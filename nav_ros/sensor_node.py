@@ -19,6 +19,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_n
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from nav_ros.bias_file import BiasFileError, read_biases, write_biases
 from nav_ros.compiling import compilations_told, start_compiler
 from nav_ros.diagnostics import Level, Report, StreamMeter, diagnostic_array
 from nav_ros.messages import RefusedMessageError
@@ -30,6 +31,7 @@ DEPTH = 1000  # messages; half a second of a fast IMU while the machine is busy 
 SENSOR_QOS = QoSProfile(depth=DEPTH, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 OUTPUT_QOS = QoSProfile(depth=DEPTH, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 SLOW_START = 5.0  # s of compilation worth telling
+STORE_PERIOD = 60.0  # s between two writings of the biases
 WATCH_PERIOD = 0.2  # s, how soon a silent sensor or a new peer is told
 WATCHES_PER_REPORT = 5
 
@@ -81,6 +83,7 @@ class SensorNode(Node):
         self.params = declare_parameters(self, params_class)
         self.counts, self._last_fault = Counter(), {}
         self.sensors, self.outputs, self.wanted = {}, {}, set()
+        self._keep = None
         self._listeners, self._watches, self._watched = {}, 0, None
         self._sensor_group = SensorGroup()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -126,6 +129,45 @@ class SensorNode(Node):
         except ImportError:
             self.get_logger().error("publish_tf is true but tf2_ros is not installed: no transform")
             return None
+
+    def keep_biases(self, path, newest):
+        """Keep biases in a file from now on, every minute and at the end.
+
+        Parameters
+        ----------
+        path : str
+        newest : callable
+            Returns :class:`nav_ros.bias_file.StoredBiases`, or None while they are not known.
+
+        Returns
+        -------
+        nav_ros.bias_file.StoredBiases or None
+            Those of the last run, if there are any that can be used.
+        """
+        self._keep = lambda: self._write_biases(path, newest())
+        self.create_timer(STORE_PERIOD, self._keep)
+        try:
+            stored = read_biases(path)
+        except BiasFileError as error:
+            self.get_logger().warning(f"{error}: starting without")
+            return None
+        if stored is None:
+            self.get_logger().info(f"no {path} yet")
+        return stored
+
+    def _write_biases(self, path, biases):
+        if biases is None:
+            return
+        try:
+            write_biases(path, biases)
+        except OSError as error:
+            self.fault("bias_file", f"{path}: cannot be written: {error.strerror}", Level.WARN)
+
+    def destroy_node(self):
+        """Keep the biases and end."""
+        if self._keep is not None:
+            self._keep()
+        super().destroy_node()
 
     def add_sensor(self, kind, topic, take, *, needed=False, patience):
         """Subscribe to serialized messages; whatever `take` makes of one, the next one is served.

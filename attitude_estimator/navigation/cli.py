@@ -35,6 +35,7 @@ class NavigationBagEstimator(BagEstimator):
         super().__init__(params, bag, topics)
         self._session = NavigationSession(params, lambda name, _text, _level: self.counts.update([name]))
         self._output = NavigationOutput(self._session)
+        self._session.stored = self.stored_biases()
 
     def estimate(self, part):
         """Return what follows from a list of messages: (topic, receive_ns, raw) of each."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from attitude_estimator.edge import start_with_stored
 from attitude_estimator.navigation import _kernels as kernels
 from attitude_estimator.navigation.estimator import Navigation, NavigationEstimator
 from attitude_estimator.navigation.params import NavigationParams
@@ -90,6 +91,8 @@ class NavigationNodeParams(NavigationParams, TimeGateParams):
         50.0, "Hz", "highest rate of all output but imu/data; 0: with every sample", 0.0, 1e4)
     publish_tf: bool = parameter(
         False, "", "broadcast world_frame to base_frame once it navigates; needs tf2_ros", runtime=False)
+    bias_file: str = parameter(
+        "", "", "file that keeps the biases from one run to the next; empty: none", runtime=False)
 
 
 class NavigationSession:
@@ -113,6 +116,8 @@ class NavigationSession:
         Of the last message, 0 where it had none.
     frame : str or None
         ``frame_id`` of the IMU.
+    stored : nav_ros.bias_file.StoredBiases or None
+        To start with at the next sample.
     """
 
     def __init__(self, params, tell):
@@ -121,7 +126,7 @@ class NavigationSession:
         self.gate = TimeGate(params)
         self.check = ImuCheck()
         self.counts = Counter()
-        self.stamp_ns, self.frame = 0, None
+        self.stamp_ns, self.frame, self.stored = 0, None, None
         self._altimeters = {"altitude": AltitudeSource(POINT), "pressure": AltitudeSource(PRESSURE)}
         self._altimeter_ns = {}
         self._takes = {"imu": self._take_imu, "fix": self._take_fix, "velocity": self._take_velocity,
@@ -187,6 +192,9 @@ class NavigationSession:
         self.stamp_ns = self.gate.stamp_ns
         self._look_at_frame(frame)
         self.check.add(self.stamp_ns, values[GYRO], values[ACCEL])
+        if self.stored is not None:
+            start_with_stored(self.estimator.level, self.stored, self.stamp_ns)
+            self.stored = None
         return self.estimator.add_imu(self.stamp_ns, swap_flu_frd(values[GYRO]), swap_flu_frd(values[ACCEL]))
 
     def _look_at_frame(self, frame):

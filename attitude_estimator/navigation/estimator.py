@@ -201,6 +201,11 @@ class NavigationEstimator:
         self._take(0, kernels.K_RESET, [0.0, 0.0, self._gravity()])
 
     @property
+    def level(self):
+        """The AttitudeEstimator that levels the start."""
+        return self._level
+
+    @property
     def origin(self):
         """Latitude, longitude (rad) and height (m) of the first fix that the next one confirmed, or None."""
         return self._origin

@@ -18,6 +18,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import FluidPressure, Imu, NavSatFix
 from std_srvs.srv import Trigger
 
+from attitude_estimator.edge import biases_to_store
 from attitude_estimator.navigation.edge import (
     COASTING_AFTER,
     INPUTS,
@@ -50,6 +51,8 @@ class NavigationNode(SensorNode):
         super().__init__("navigation_node", NavigationNodeParams)
         self.prepare(self._warm_up)
         self._session = NavigationSession(self.params, self.fault)
+        path = self.params.bias_file
+        self._session.stored = self.keep_biases(path, self._newest_biases) if path else None
         self._answers = NavigationOutput(self._session)
         self._transforms = self.transforms() if self.params.publish_tf else None
         self._origin, self._told = None, {}
@@ -66,6 +69,10 @@ class NavigationNode(SensorNode):
     def _warm_up(self):
         NavigationEstimator(self.params).warm_up()
         TimeGate(self.params).check(1)
+
+    def _newest_biases(self):
+        estimate = self._session.estimator.estimate
+        return biases_to_store(estimate) if estimate.valid else None
 
     def _taking(self, name):
         """Return what takes a serialized message of an input."""

@@ -19,8 +19,10 @@ from std_srvs.srv import Trigger  # noqa: E402
 
 from attitude_estimator.navigation.cli import main as navigate_bag_main  # noqa: E402
 from attitude_estimator.navigation.edge import OUTPUT_TYPES  # noqa: E402
+from attitude_estimator.navigation.params import NavigationParams  # noqa: E402
 from inertial.flight_scenarios import Receiver  # noqa: E402
 from nav_ros.bags import BagReader, BagWriter, read_messages  # noqa: E402
+from nav_ros.bias_file import read_biases  # noqa: E402
 from nav_ros.cli import score_bag_main, simulate_bag_main  # noqa: E402
 from nav_ros.messages import DOUBLES, IMU, POSE_COVARIANCE, POSE_POSITION, StampedEncoder  # noqa: E402
 
@@ -54,10 +56,17 @@ def navigated(flight_bag, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def open_node(open_bench):
+def bias_file(tmp_path_factory):
+    """Return the path of a file that is not there yet."""
+    return tmp_path_factory.mktemp("biases") / "biases.yaml"
+
+
+@pytest.fixture(scope="module")
+def open_node(open_bench, bias_file):
     """Return a bench and a navigation_node for all tests of this file."""
     with open_bench() as bench:
-        yield bench, bench.start_ready("-p", "auxiliary_rate:=0.0", "-p", "fix_stdd:=2.0", name="navigation_node")
+        yield bench, bench.start_ready("-p", "auxiliary_rate:=0.0", "-p", "fix_stdd:=2.0",
+                                       "-p", f"bias_file:={bias_file}", name="navigation_node")
 
 
 def stamps_of(raws):
@@ -104,7 +113,7 @@ def test_the_node_and_navigate_bag_publish_the_same(open_node, flight_bag, navig
     assert "origin at " in node.said
 
 
-def test_bad_messages_and_a_reset_do_not_end_the_node(open_node):
+def test_bad_messages_and_a_reset_do_not_end_the_node(open_node, bias_file):
     bench, node = open_node
     peer = bench.peer()
     diagnostics = bench.diagnostics(peer, "navigation_node", "navigation")
@@ -136,6 +145,7 @@ def test_bad_messages_and_a_reset_do_not_end_the_node(open_node):
     status = diagnostics.told("waiting for a heading")
     assert values_of(status)["phase"] == "start"
     assert node.finish(signal.SIGINT) == 0 and "Traceback" not in node.said
+    assert max(read_biases(bias_file).gyro_bias_std) < NavigationParams().gyro_bias_std, "kept for the next run"
 
 
 @pytest.mark.parametrize(("argument", "reason"), [

@@ -21,6 +21,7 @@ from inertial.rotation import (
     quaternion_from_dcm,
     quaternion_multiply,
 )
+from nav_ros.bias_file import StoredBiases
 from nav_ros.frames import orientation_from_q_nb, swap_enu_ned_covariance, swap_flu_frd
 from nav_ros.messages import (
     ACCEL,
@@ -52,6 +53,11 @@ ROUNDING = 1e-12
 STEP, STEP_ERROR = 1e-6, 1e-8
 """Of a central difference, rad or m/s, and what is left of it relative to the speed."""
 DIAGONAL = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 4.0)
+
+
+STORED = StoredBiases(T0, (0.01, -0.02, 0.03), (1e-4,) * 3, (0.02, 0.0, -0.01), (1e-3,) * 3)
+KEPT = 0.01
+"""Of a stored bias, that the prior of any switch-on and a first sample may take off."""
 
 
 class Input:
@@ -120,6 +126,22 @@ def bad_messages(source):
     yield "malformed", lambda: source.session.take("velocity", b"\x00\x01\x00\x00")
     yield "imu_no_stamp", lambda: source.imu(stamp_ns=0)
     yield "frame_id_changed", lambda: source.imu(frame="other")
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_it_starts_with_stored_biases(held):
+    source = Input()
+    source.session.stored = STORED
+    if held:
+        source.session.estimator.hold()
+    source.imu()
+    if held:
+        source.session.estimator.release()
+    estimate = source.session.estimator.estimate
+    np.testing.assert_allclose(swap_flu_frd(estimate.gyro_bias_b), STORED.gyro_bias, rtol=KEPT)
+    np.testing.assert_allclose(swap_flu_frd(estimate.accel_bias_b), STORED.accel_bias, rtol=KEPT, atol=1e-6)
+    np.testing.assert_allclose(np.sqrt(estimate.gyro_bias_variance), STORED.gyro_bias_std, rtol=KEPT)
+    assert source.session.stored is None and source.told == {}
 
 
 def test_each_bad_message_is_told_by_its_name_and_ends_nothing():

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from attitude_estimator.biases import start_with_biases
 from attitude_estimator.estimator import AttitudeEstimator
 from attitude_estimator.navigation.estimator import NavigationEstimator
 from attitude_estimator.navigation.params import NavigationParams
@@ -232,6 +233,22 @@ def test_aids_of_one_stamp_count_alike_in_either_order():
                     assert add(int(imu.stamp_ns[k - 10]), value)
         ends.append(estimator.estimate.rows)
     assert np.array_equal(*ends)
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_biases_known_from_before_are_known_when_it_begins_to_navigate(name):
+    recording, found = simulate_flight("flight_with_gps", duration=30.0), []
+    for known in (False, True):
+        estimator = NavigationEstimator(NavigationParams(estimator=name))
+        if known:
+            start_with_biases(estimator.level, recording.gyro_bias_b[0], np.full(3, 1e-4), recording.accel_bias_b[0],
+                              np.full(3, 0.01))
+        navigation, _ = estimator.run(recording)
+        first = np.argmax(navigation.navigating)
+        found.append((np.sqrt(navigation.gyro_bias_variance[first]),
+                      np.abs(navigation.gyro_bias_b[first] - recording.gyro_bias_b[first])))
+    (blind_std, _), (std, error) = found
+    assert np.all(std < 0.5 * blind_std) and np.all(error < BEYOND * std)
 
 
 def test_a_first_fix_far_off_is_neither_the_origin_nor_the_start():
