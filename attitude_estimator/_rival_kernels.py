@@ -371,7 +371,8 @@ def gamma_predict(x, p, w, f, g, dt, q_angle, q_vd, norm_gain):
             after[i] += F[i, j] * x[j]
     after[3] += g * dt
     after[4] -= 0.5 * g * dt * dt
-    x[:] = after
+    for i in range(5):
+        x[i] = after[i]
     _carry(F, p)
     trace = p[0, 0] + p[1, 1] + p[2, 2] + x[0] * x[0] + x[1] * x[1] + x[2] * x[2]
     for i in range(3):
