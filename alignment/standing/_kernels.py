@@ -18,12 +18,14 @@ RIEKF6, RIEKF12, MEKF, EKF5, EKF10, UKF10, IPEKF = range(7)
 PAPER_LITERAL, CLOSED_LOOP, RESIDUAL = range(3)
 
 # A step: its length s, the rotation vector over it, the velocity that the specific force gives over it and the mean
-# of that velocity over it, both in the body's axes at its start, and 1 where no zero velocity may count.
-(STEP_DT, STEP_DTHETA, STEP_DVEL, STEP_MEAN_DVEL, STEP_MOVING, STEP_SIZE) = (0, 1, 4, 7, 10, 11)
+# of that velocity over it, both in the body's axes at its start, 1 where no zero velocity may count, and the variances
+# of angle and velocity by samples that are missing.
+(STEP_DT, STEP_DTHETA, STEP_DVEL, STEP_MEAN_DVEL, STEP_MOVING, STEP_LOST, STEP_SIZE) = (0, 1, 4, 7, 10, 11, 13)
 
 # A step under way: its rotation matrix so far, then as above; of rate and force the squared density of the noise so
-# far, the last three samples of each, and how many there were.
-(A_ROTATION, A_DT, A_DVEL, A_POSITION, A_NOISE, A_BEFORE, A_SEEN, A_SIZE) = (0, 9, 10, 13, 16, 22, 40, 41)
+# far, the last three samples of each, how many there were, and the usual interval, s.
+(A_ROTATION, A_DT, A_DVEL, A_POSITION, A_LOST, A_NOISE, A_BEFORE, A_SEEN, A_USUAL, A_SIZE) = (
+    0, 9, 10, 13, 16, 18, 24, 42, 43, 44)
 
 CONSTANT_NAMES = (
     "earth_north", "earth_down", "gravity", "radius", "tan_latitude", "gyro_var", "accel_var", "gyro_flicker_var",
@@ -67,6 +69,8 @@ RATE_TIME = 1.0  # s that a rate is a mean of, before it counts as a turn: who s
 REJECTION_TIME = 1.0  # s of rejected zero velocities that count as motion
 STANDING_TIME = 2.0  # s of zero velocities that end it
 NOISE_TIME = 10.0  # s over which the noise of the samples is followed
+MISSING = 1.7  # usual intervals from which samples are missing
+MOST_CURVED = 15.0  # missing samples over which a curve is carried on
 
 
 _compiled = njit(cache=True, error_model="numpy")
@@ -292,6 +296,9 @@ def _adapt(z, s, c, q):
 def reduce_samples(acc, dt, gyro_b, accel_b, period, steps, ends):
     """Sum samples up to steps of at least ``period`` s; return how many steps were completed.
 
+    Each sample is the mean over its interval. Where samples before it are missing, the mean of the last one and of it
+    stands for them, wrong by as much as a curve bent like the last three samples departs from it.
+
     Parameters
     ----------
     acc : (A_SIZE,) float64
@@ -306,32 +313,39 @@ def reduce_samples(acc, dt, gyro_b, accel_b, period, steps, ends):
     """
     count = 0
     r, turn, both = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    turned, gained = np.empty(3), np.empty(3)
     for i in range(3):
         for j in range(3):
             r[i, j] = acc[A_ROTATION + 3 * i + j]
     for k in range(len(dt)):
         if acc[A_DT] == 0.0:
-            for i in range(A_NOISE):
+            for i in range(A_NOISE):  # all that belongs to a step
                 acc[i] = 0.0
             for i in range(3):
                 for j in range(3):
                     r[i, j] = 1.0 if i == j else 0.0
-        t = dt[k]
+        missing = _missing_time(acc, dt[k])
+        t = dt[k] - missing
+        if missing > 0.0:
+            _add_lost(acc, missing, missing / t)
+        for part in range(0 if missing > 0.0 else 1, 2):
+            _fill_sample(acc, gyro_b[k], accel_b[k], missing if part == 0 else t, part == 0, turned, gained)
+            # Specific force in the axes half-way through the sample.
+            x, y, z = turned[0], turned[1], turned[2]
+            fx, fy, fz = gained[0], gained[1], gained[2]
+            gx = fx + 0.5 * (y * fz - z * fy)
+            gy = fy + 0.5 * (z * fx - x * fz)
+            gz = fz + 0.5 * (x * fy - y * fx)
+            length = missing if part == 0 else t
+            for i in range(3):
+                gain = r[i, 0] * gx + r[i, 1] * gy + r[i, 2] * gz
+                acc[A_POSITION + i] += length * (acc[A_DVEL + i] + 0.5 * gain)
+                acc[A_DVEL + i] += gain
+            _rotation(x, y, z, turn)
+            _multiply(r, turn, both)
+            r, both = both, r
+            acc[A_DT] += length
         _follow_noise(acc, t, gyro_b[k], accel_b[k])
-        x, y, z = t * gyro_b[k, 0], t * gyro_b[k, 1], t * gyro_b[k, 2]
-        fx, fy, fz = t * accel_b[k, 0], t * accel_b[k, 1], t * accel_b[k, 2]
-        # Specific force in the axes half-way through the sample.
-        gx = fx + 0.5 * (y * fz - z * fy)
-        gy = fy + 0.5 * (z * fx - x * fz)
-        gz = fz + 0.5 * (x * fy - y * fx)
-        for i in range(3):
-            gain = r[i, 0] * gx + r[i, 1] * gy + r[i, 2] * gz
-            acc[A_POSITION + i] += t * (acc[A_DVEL + i] + 0.5 * gain)
-            acc[A_DVEL + i] += gain
-        _rotation(x, y, z, turn)
-        _multiply(r, turn, both)
-        r, both = both, r
-        acc[A_DT] += t
         if acc[A_DT] >= period - 0.5 * t:
             _close_step(acc, r, steps[count])
             ends[count] = k
@@ -341,6 +355,44 @@ def reduce_samples(acc, dt, gyro_b, accel_b, period, steps, ends):
         for j in range(3):
             acc[A_ROTATION + 3 * i + j] = r[i, j]
     return count
+
+
+@_inlined
+def _missing_time(acc, t):
+    """Return how much of an interval belongs to samples that are missing, s; follow the usual interval."""
+    usual = acc[A_USUAL]
+    if usual == 0.0:
+        acc[A_USUAL] = t
+    elif t < MISSING * usual:
+        acc[A_USUAL] += 0.02 * (t - usual)
+    else:
+        # Slowly, since the rate may have changed for good.
+        acc[A_USUAL] += 0.002 * (t - usual)
+        return t - usual
+    return 0.0
+
+
+@_inlined
+def _add_lost(acc, missing, count):
+    """Add the variances of angle and velocity over so many s without so many samples."""
+    count = min(count, MOST_CURVED)
+    # Of a parabola the straight line between the samples beside missing ones is off by this much in the mean.
+    length = missing * (count + 1.0) * (count + 2.0) / 12.0
+    for i in range(6):
+        at = A_BEFORE + 3 * i
+        bend = length * (acc[at] - 2.0 * acc[at + 1] + acc[at + 2])
+        acc[A_LOST + (0 if i < 3 else 1)] += bend * bend
+
+
+@_inlined
+def _fill_sample(acc, gyro_b, accel_b, t, missing, turned, gained):
+    """Fill the angle and the velocity (3,) of a sample of t s, or of those missing before it."""
+    for i in range(3):
+        rate, force = gyro_b[i], accel_b[i]
+        if missing:
+            rate = 0.5 * (rate + acc[A_BEFORE + 3 * i + 2])
+            force = 0.5 * (force + acc[A_BEFORE + 3 * (i + 3) + 2])
+        turned[i], gained[i] = t * rate, t * force
 
 
 @_inlined
@@ -368,6 +420,7 @@ def _close_step(acc, r, step):
     ratio = 2.0 * math.atan2(sine, q[0]) / sine if sine > 1e-9 else 2.0
     step[STEP_DT] = acc[A_DT]
     step[STEP_MOVING] = 0.0
+    step[STEP_LOST], step[STEP_LOST + 1] = acc[A_LOST], acc[A_LOST + 1]
     for i in range(3):
         step[STEP_DTHETA + i] = ratio * q[1 + i]
         step[STEP_DVEL + i] = acc[A_DVEL + i]
@@ -567,8 +620,8 @@ def _group_noise(model, c, step, q, P):
     """Add the noise of a step to P; a turn adds what the gyros' scale factors and axes are off."""
     t = step[STEP_DT]
     for i in range(3):
-        P[i, i] += t * c[C_GYRO_VAR]
-        P[3 + i, 3 + i] += t * c[C_ACCEL_VAR]
+        P[i, i] += t * c[C_GYRO_VAR] + step[STEP_LOST]
+        P[3 + i, 3 + i] += t * c[C_ACCEL_VAR] + step[STEP_LOST + 1]
     if model != RIEKF6:
         drift = _drift(c, q, t)
         for i in range(3):

@@ -26,8 +26,8 @@ from inertial.recording import ImuSeries
 _PREVIEW = 2.0  # s of the coarse alignment from which there is a result
 _STANDING_AGAIN = 10.0  # s that sensors must look still, while the filter's velocity says otherwise
 # Zero velocities of sensors as they were told scatter little more than stated, also where people walk and an engine
-# runs; where gyros are noisier than told the attitude wanders, and they scatter ten times as much within half a minute.
-_DOUBTFUL_SCALE = 16.0  # of their variance
+# runs; where gyros are noisier than told the attitude wanders, and they scatter more within seconds.
+_DOUBTFUL_SCALE = 4.0  # of their variance
 _TRUSTED_AGAIN = 120.0  # s after an alarm that noise may explain
 
 
@@ -190,9 +190,9 @@ class StandingAligner:
 
     @property
     def _poorer_sensors(self):
-        noisier = explain_noise(self._maker.noise_density, self.params)
-        return noisier and (f"{noisier}, and the attitude wanders more than such sensors let it: they are poorer than "
-                            "the parameters, or the vehicle shakes")
+        told = explain_noise(self._maker.noise_density, self.params)
+        return told and (f"{told}, and the attitude wanders more than it should: poorer sensors than the parameters, "
+                         "or a vehicle that shakes")
 
     @property
     def _sway_std(self):

@@ -117,5 +117,5 @@ def explain_noise(noise_density, params):
                                 ("accelerometer", "accel_noise_density", noise_density[3:])):
         ratio = float(np.median(shown)) / getattr(params, name)
         if ratio > _NOISIER:
-            told.append(f"{sensor} noise is {ratio:.2g} times what {name} says")
+            told.append(f"{sensor} noise is {ratio:.3g} times what {name} says")
     return " and ".join(told)

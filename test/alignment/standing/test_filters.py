@@ -12,6 +12,7 @@ from alignment.standing.filters import Filter, heading_covariance, reduce, run_f
 from alignment.standing.params import MODELS
 from alignment.standing.predictive import error_jacobian, error_rate
 from inertial.earth import earth_rate_n
+from inertial.recording import ImuSeries
 from inertial.rotation import (
     dcm_from_quaternion,
     quaternion_exp,
@@ -23,6 +24,7 @@ from inertial.rotation import (
 
 ARCMIN = math.radians(1 / 60)
 FAR = math.radians(30.0)
+ROUNDING = 1e-12  # rad, m/s
 EXACT = 1e-6  # rad, of a coarse alignment of perfect sensors
 STEP_TOLERANCE = 5e-3  # per unit error: terms beyond the first order in a step that turns by 0.01 rad
 TWIN = 1e-9  # relative: the same arithmetic in another order
@@ -56,6 +58,29 @@ def test_two_vectors_give_the_attitude_and_the_biases_show_as_predicted(made_up)
     wrong = align_two_vectors(gyro_b + east, accel_b, 1200.0, params)
     turned = quaternion_log(quaternion_from_dcm(dcm_from_quaternion(wrong.q_nb_wxyz) @ dcm_nb.T))
     assert turned[2] == pytest.approx(-1e-8 / params.north_rate, rel=1e-3)
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.02], ids=["straight", "bent"])
+def test_missing_samples_are_bridged_and_counted_in_the_variance(bend):
+    """Of readings on a straight line nothing is lost, of a parabola as much as the step says."""
+    count, dt = 60, 0.01
+    time = (np.arange(count) + 0.5) * dt
+    rate = 0.01 + 0.05 * time + bend * ((time - 0.3) ** 2 + dt ** 2 / 12)  # means over the intervals
+    gyro_b, accel_b = np.outer(rate, [1.0, 0.0, 0.0]), np.outer(10 * rate, [1.0, 0.0, 0.0])
+    kept = np.ones(count, dtype=bool)
+    kept[[25, 26]] = False
+    stamp_ns = np.arange(1, count + 1) * 10_000_000
+    angle, speed, variances = {}, {}, None
+    for name, part in (("all", np.ones(count, dtype=bool)), ("some", kept)):
+        imu = ImuSeries(stamp_ns[part], gyro_b[part], accel_b[part])
+        steps, _ = reduce(imu, sample_intervals(imu.stamp_ns), 0.1)
+        angle[name] = steps[:, kernels.STEP_DTHETA].sum()
+        speed[name] = steps[:, kernels.STEP_DVEL].sum()
+        variances = steps[:, kernels.STEP_LOST:].sum(axis=0)
+    lost = np.sqrt(variances)
+    assert abs(angle["some"] - angle["all"]) == pytest.approx(lost[0], rel=1e-3, abs=ROUNDING)
+    assert abs(speed["some"] - speed["all"]) == pytest.approx(lost[1], rel=1e-3, abs=ROUNDING)
+    assert (lost > 1e3 * ROUNDING).all() == (bend > 0)
 
 
 @pytest.mark.parametrize("name", ["riekf12", "mekf"])
