@@ -23,6 +23,7 @@ study: ## rewrite the tables of docs/results
 	@scripts/run study,bench python3 -m studies.other_motions
 	@scripts/run study python3 -m studies.north_finding
 	@scripts/run study python3 -m studies.ins_alignment
+	@scripts/run study python3 -m studies.disturbances
 	@scripts/run study python3 -m studies.strapdown
 	@scripts/run study python3 -m studies.helicopter
 	@scripts/run study python3 -m studies.two_filters

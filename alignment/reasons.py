@@ -56,7 +56,7 @@ def _explain_misfit(north, level, latitude, one_way, noise_ratio):
     if north.scatter > LARGEST_SCATTER:
         told = f"the gyros scatter {float(north.scatter):.3g} times as much as stated"
         if noise_ratio > _NOISIER:
-            return f"{told}: gyro noise is {noise_ratio:.2g} times what gyro_noise_density says"
+            return f"{told}: gyro noise is {noise_ratio:.3g} times what gyro_noise_density says"
         culprits = "gyro_noise_density or gyro_bias_instability"
         if noise_ratio <= _NOISIER:
             told, culprits = f"{told}, their samples do not", "gyro_bias_instability"

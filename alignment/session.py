@@ -177,7 +177,8 @@ class TableSession:
     def refusal(self):
         """Why there is no heading, or why it must not be believed; empty when it may be."""
         if self.result is None:
-            return "the table has not stood still yet"
+            return f"no dwell to be used yet: {self.rejected[-1].rejection}" if self.rejected \
+                else "the table has not stood still yet"
         level, north = self.result.level, self.result.north
         wrong = self.joint.error or explain_level(level) or self._station.moved or self._no_latitude
         if wrong:
