@@ -123,7 +123,6 @@ REST_GYRO = math.radians(2.0)  # rad/s about the low-pass
 REST_ACCEL = 0.5  # m/s^2 about the low-pass
 REST_MEMORY = 3.0  # s over which a slow motion shows that passes for rest
 REST_BIAS = 6.25  # squared sigmas of the gyro bias: a steady rate that is larger is a turn
-REST_PULLED = 0.25  # of the tilt's variance: with more pulled along, quiet may be a steady acceleration
 ALTITUDE_AIDS = 10.0  # s after an altitude in which another one is still to come
 GRAVITY_PERIOD = 0.05  # s between gravity updates
 FREE_FALL_SHARE = 0.5  # of gravity, below which the low-passed force shows no direction
@@ -454,8 +453,7 @@ def _gravity_variance(m, elapsed):
     expected = _expected_residual(m)
     if t > 3.0 * m[P_LASTING_TIME]:  # what the blind start left there is gone
         m[PULLING] = max(0.5 * (lasting - expected), m[PULLING] * (1.0 - elapsed / m[P_PULL_TIME]))
-    if (residual > 16.0 * (m[P_REST_ACCEL_STD] ** 2 + expected)
-            or 2.0 * m[PULLED] > REST_PULLED * _tilt_variance(m)):
+    if residual > 16.0 * (m[P_REST_ACCEL_STD] ** 2 + expected):
         m[REST] = 0.0  # a steady braking or climb is as quiet as rest
     if m[REST] >= REST_TIME:
         return (m[P_REST_ACCEL_STD] ** 2 + moved) * max(1.0, 1.0 / elapsed)
@@ -660,7 +658,7 @@ def _track(m, dt, wx, wy, wz, fx, fy, fz):
         df2 += (f[i] - m[ACCEL_LP + i]) ** 2
         if m[P_MODEL] == 0.0:
             bias = m[GYRO_LP + i] - m[X + BG + i] - m[P_EARTH_RATE_DOWN] * m[X + i]
-            turning |= bias * bias > REST_BIAS * (m[P + (N + 1) * (BG + i)] + m[P_REST_GYRO_STD] ** 2)
+            turning |= bias * bias > REST_BIAS * m[P + (N + 1) * (BG + i)] + 16.0 * m[P_REST_GYRO_STD] ** 2
     m[GYRO_SPREAD] += gain * (dw2 - m[GYRO_SPREAD])
     m[ACCEL_SPREAD] += gain * (df2 - m[ACCEL_SPREAD])
     m[ACCEL_VIBRATION] += gain * (step2 / 6.0 - m[ACCEL_VIBRATION])

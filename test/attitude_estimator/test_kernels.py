@@ -137,11 +137,11 @@ class DefaultTwin(PaperTwin):
         self.accel_lp = self.accel_lp + gain * (accel - self.accel_lp)
         self.vibration += gain * (np.sum((accel - self.accel_before) ** 2) / 6 - self.vibration)
         self.accel_before = accel
-        bias_var = np.diag(self.P)[5:8] + self.p.rest_gyro_std**2
+        bias_var = 6.25 * np.diag(self.P)[5:8] + 16 * self.p.rest_gyro_std**2
         still = (np.linalg.norm(gyro - self.gyro_lp) < np.radians(2.0)
                  and np.linalg.norm(accel - self.accel_lp) < 0.5
                  and abs(np.linalg.norm(accel) - GRAVITY) < 0.3 + 3 * self.p.accel_bias_std
-                 and np.all((self.gyro_lp - self.x[5:8]) ** 2 <= 6.25 * bias_var))
+                 and np.all((self.gyro_lp - self.x[5:8]) ** 2 <= bias_var))
         slow = dt / (min(self.rest, 3.0) + dt)
         self.rest_gyro = self.rest_gyro + slow * (self.gyro_lp - self.rest_gyro)
         self.rest_accel = self.rest_accel + slow * (self.accel_lp - self.rest_accel)
@@ -199,8 +199,7 @@ class DefaultTwin(PaperTwin):
                                self.pulling * (1 - elapsed / p.gravity_pull_time))
         fall = max(elapsed / (p.gravity_decay_time + elapsed), min(1.0, 2 * elapsed / t))
         self.residual = max(y2, self.residual + fall * (y2 - self.residual))
-        if (y2 > 16 * (p.rest_accel_std**2 + explained)
-                or 2 * self.pull[0, 0] > 0.25 * np.trace(self.P[:3, :3])):
+        if y2 > 16 * (p.rest_accel_std**2 + explained):
             self.rest = 0.0
         if self.rest >= 1.5:
             moved = self.accel_lp - self.rest_accel
