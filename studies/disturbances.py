@@ -1,9 +1,9 @@
 """What faults of a turntable and disturbances of a standing vehicle do to the heading, one at a time.
 
 ``python3 -m studies.disturbances`` writes docs/results/disturbances.md. The turntable is that of
-:mod:`inertial.table_scenarios` or one that turns steadily, with one fault put into the streams or into what the finder
-is told. The vehicle is a sprung body on the turning Earth: its angles and the path of the IMU are given, and the readings
-are the rate and force that these make. Frames and units as in :mod:`inertial`.
+:mod:`inertial.table_scenarios` or one that turns steadily, with one fault put into the streams or into what the
+finder is told. The vehicle is a sprung body on the turning Earth: its angles and the path of the IMU are given, and the
+readings are the rate and force that these make. Frames and units as in :mod:`inertial`.
 """
 
 import argparse
