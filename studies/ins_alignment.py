@@ -83,6 +83,10 @@ ASKED_PART = 0.2
 PROTOTYPE = {("navigation", "static"): 2.5, ("navigation", "two_position"): 0.82, ("navigation", "rotating"): 1.08,
              ("tactical", "static"): 244, ("tactical", "two_position"): 36, ("tactical", "rotating"): 48,
              ("ADIS in-run", "static"): 1276, ("ADIS in-run", "two_position"): 83, ("ADIS in-run", "rotating"): 125}
+_BESIDE = 1.75  # inches of a legend beside the axes
+# Of two filters that do the same the one is drawn wide, the other thin upon it.
+_LINES = {"ipekf": {"color": "C0", "linewidth": 2.4}, "ekf5": {"color": "black", "linewidth": 0.8, "linestyle": "--"},
+          "ekf10": {"color": "C1", "linewidth": 1.0}, "ukf10": {"color": "C2", "linewidth": 1.0}}
 LARGEST_RATIO, SQUARES = 1.1, (0.8, 1.25)
 STEP_LIMITS = {"ekf5": 1.5, "ipekf, p = 10, gain at 1 Hz": 2.0, "riekf12, 10 Hz": 5.0}
 
@@ -311,13 +315,13 @@ def figures_section(plots, workers):
             f"{falls}; a Lyapunov function would on all."]
 
 
-def _axes(rows, columns, share_y=False):
-    """Return a figure and its axes, to be saved by :func:`_save`."""
+def _axes(rows, columns, share_y=False, margin=0.15):
+    """Return a figure and its axes, to be saved by :func:`_save`, with so many inches beside them."""
     from matplotlib.figure import Figure
 
-    width, height = 4.2 * columns, 3.0 * rows
+    width, height = 4.05 * columns + margin, 3.0 * rows
     figure = Figure(figsize=(width, height))
-    figure.subplots_adjust(left=0.85 / width, right=1 - 0.15 / width, bottom=0.5 / height, top=1 - 0.3 / height,
+    figure.subplots_adjust(left=0.85 / width, right=1 - margin / width, bottom=0.5 / height, top=1 - 0.3 / height,
                            wspace=0.05 if share_y else 0.32, hspace=0.4)
     return figure, figure.subplots(rows, columns, sharey=share_y, squeeze=False)
 
@@ -326,12 +330,21 @@ def _save(figure, path):
     figure.savefig(path, dpi=90, metadata={"Software": None})
 
 
+def _legend_beside(figure):
+    """Tell once, beside the axes, what each line is: over them a legend would hide lines."""
+    handles = {}
+    for axes in figure.axes:
+        handles |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    figure.legend(handles.values(), handles.keys(), fontsize="small", loc="center right")
+
+
 def _label(axes, title, x="s", y="arcmin", legend="best"):
     axes.set_title(title, fontsize="medium")
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small", loc=legend)
+    if legend:
+        axes.legend(fontsize="small", loc=legend)
     if axes.get_yscale() != "linear":
         # Not as powers of ten: mathematical type takes longer to set than all the rest to draw.
         axes.yaxis.set_major_formatter("{x:g}")
@@ -341,46 +354,53 @@ def _label(axes, title, x="s", y="arcmin", legend="best"):
 def draw_figure_3(plots):
     """Draw the heading error against time: IPEKF beside EKF and UKF, the bound, and what the paper prints."""
     noise_std, (_, printed, _) = NOISE_STDS[-1], PAPER["ipekf"][-1]
-    figure, panels = _axes(2, 2)
+    figure, panels = _axes(2, 2, margin=_BESIDE)
     for row, grade in zip(panels, ("ADIS in-run", "navigation"), strict=True):
         curves = {name: one_run(name, grade, noise_std) for name in ERROR_MODELS}
         t, std = bound_curve(grade, noise_std)
         for axes, rivals in zip(row, (("ekf10", "ekf5"), ("ukf10",)), strict=True):
             for name in ("ipekf", *rivals):
-                axes.semilogy(curves[name].t, np.abs(curves[name].error) / ARCMINUTE, label=name, linewidth=1.0,
-                              linestyle="--" if name == "ekf5" else "-")
+                axes.semilogy(curves[name].t, np.abs(curves[name].error) / ARCMINUTE, label=name, **_LINES[name])
             axes.semilogy(t, std / ARCMINUTE, "k:", label="bound, one sigma")
             axes.axhline(printed, color="0.6", label="printed for the IPEKF")
             axes.set_ylim(bottom=0.1)
-            _label(axes, f"3: {grade}, |error|", legend="center right" if grade == "ADIS in-run" else "upper right")
+            _label(axes, f"3: {grade}, |error|", legend="")
+    _legend_beside(figure)
     _save(figure, plots / "figure_3.png")
 
 
 def draw_figures_4_and_5(plots):
     """Draw heading error and spread with R and Q enlarged together."""
-    figure, (row,) = _axes(1, 2)
+    figure, (row,) = _axes(1, 2, margin=_BESIDE)
     for enlarge, colour in zip(ENLARGED, ("C0", "C1", "C2"), strict=True):
-        for name, style in (("ipekf", "-"), ("ekf5", "--")):
+        for name in ("ipekf", "ekf5"):
             one = one_run(name, "navigation", 0.1, r_factor=enlarge, q_factor=enlarge)
+            style = _LINES[name] | ({"color": colour} if name == "ipekf" else {})
             for axes, values in zip(row, (np.abs(one.error), one.std), strict=True):
-                axes.semilogy(one.t, values / ARCMINUTE, color=colour, linestyle=style, label=f"{name}, x {enlarge}")
+                label = f"ipekf, x {enlarge}" if name == "ipekf" else "ekf5, likewise"
+                axes.semilogy(one.t, values / ARCMINUTE, label=label, **style)
     row[0].set_ylim(bottom=0.1)
-    _label(row[0], "4: heading, |error|", legend="upper right")
-    _label(row[1], "5: heading, standard deviation of the filter")
+    _label(row[0], "4: heading, |error|", legend="")
+    _label(row[1], "5: heading, standard deviation of the filter", legend="")
+    _legend_beside(figure)
     _save(figure, plots / "figures_4_5.png")
 
 
 def draw_figure_6(plots):
     """Draw the heading error for several horizons."""
-    figure, (row,) = _axes(1, 2)
+    figure, (row,) = _axes(1, 2, margin=_BESIDE)
     plain = one_run("ekf5", "navigation", 0.1)
-    for horizon in HORIZONS:
+    # The longest first: the others lie upon each other.
+    for k, horizon in reversed(list(enumerate(HORIZONS))):
         one = one_run("ipekf", "navigation", 0.1, horizon=horizon)
-        row[0].semilogy(one.t, np.abs(one.error) / ARCMINUTE, label=f"p = {horizon}")
-        row[1].semilogy(one.t, np.abs(one.error - plain.error) / ARCMINUTE, label=f"p = {horizon}")
+        style = {"label": f"p = {horizon}", "color": f"C{k}", "linewidth": 1.0 + 0.6 * k}
+        row[0].semilogy(one.t, np.abs(one.error) / ARCMINUTE, **style)
+        row[1].semilogy(one.t, np.abs(one.error - plain.error) / ARCMINUTE, **style)
     row[0].set_ylim(bottom=0.1)
-    _label(row[0], "6: heading, |error|", legend="upper right")
-    _label(row[1], "|IPEKF - EKF5|")
+    row[1].set_ylim(bottom=1e-5)
+    _label(row[0], "6: heading, |error|", legend="")
+    _label(row[1], "|IPEKF - EKF5|", legend="")
+    _legend_beside(figure)
     _save(figure, plots / "figure_6.png")
 
 
@@ -519,15 +539,19 @@ def predictive_section(predictive):
 
 def draw_acting(plots):
     """Draw the heading with the IPA acting."""
-    figure, (row,) = _axes(1, 2)
-    for label, settings in (("EKF5", None), *((f"IPEKF, {ratio:.0e}", {"weight_ratio": ratio}) for ratio in RATIOS)):
-        one = one_run("ekf5" if settings is None else "ipekf", "navigation", 1e-2, **(settings or {}))
-        row[0].semilogy(one.t, np.abs(one.error) / ARCMINUTE, label=label)
-        row[1].plot(one.t, one.error / ARCMINUTE, label=label)
-    row[1].set_ylim(-25, 40)
+    figure, (row,) = _axes(1, 2, margin=_BESIDE)
+    plain = one_run("ekf5", "navigation", 1e-2)
+    for k, ratio in reversed(list(enumerate(RATIOS))):
+        one = one_run("ipekf", "navigation", 1e-2, weight_ratio=ratio)
+        style = {"label": f"Ry/Qm = {ratio:g}", "color": f"C{k}", "linewidth": 1.0 + 0.4 * k}
+        row[0].semilogy(one.t, np.abs(one.error) / ARCMINUTE, **style)
+        row[1].semilogy(one.t, np.abs(one.error - plain.error) / ARCMINUTE, **style)
+    row[0].semilogy(plain.t, np.abs(plain.error) / ARCMINUTE, label="EKF5", **_LINES["ekf5"])
     row[0].set_ylim(bottom=0.1)
-    _label(row[0], "heading, |error|, by Ry/Qm", legend="upper right")
-    _label(row[1], "heading error", legend="upper right")
+    row[1].set_ylim(bottom=1e-4)
+    _label(row[0], "heading, |error|", legend="")
+    _label(row[1], "|IPEKF - EKF5|", legend="")
+    _legend_beside(figure)
     _save(figure, plots / "ipa.png")
 
 
