@@ -91,6 +91,7 @@ class SensorNode(Node):
     def prepare(self, make):
         """Return what a function returns that has every kernel compiled, so that no message waits for a compiler."""
         began = time.monotonic()
+        self.get_logger().info("preparing the kernels")
         start_compiler()
         with compilations_told(self.get_logger().info):
             made = make()

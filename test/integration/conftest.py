@@ -26,6 +26,8 @@ from nav_ros.sensor_loop import served  # noqa: E402
 
 LIMIT = 60.0
 """Seconds after which something has gone wrong, on however busy a machine."""
+PATIENCE = 5.0
+"""Seconds after which an answer is asked for again."""
 COMPILE_LIMIT = 900.0
 """Seconds that a start may take which has every kernel to compile, on however busy a machine."""
 DEPTH = 5000
@@ -46,6 +48,25 @@ def wait_until(condition, what="a condition", limit=LIMIT, meanwhile=lambda: Non
         meanwhile()
         time.sleep(0.005)
     return value
+
+
+def answer_of(node, kind, name, **fields):
+    """Return the response of a service to a node that is served elsewhere.
+
+    A server may know of a request before it knows of who is to have the answer, which is then lost: another request
+    follows.
+    """
+    client = node.create_client(kind, name)
+    assert client.wait_for_service(LIMIT), name
+    futures = []
+
+    def answered():
+        if time.monotonic() >= began + PATIENCE * len(futures):
+            futures.append(client.call_async(kind.Request(**fields)))
+        return next((future for future in futures if future.done()), None)
+
+    began = time.monotonic()
+    return wait_until(answered, f"an answer of {name}").result()
 
 
 def own_domain():
@@ -146,11 +167,7 @@ class Peer:
 
     def call(self, kind, name, **fields):
         """Return the response of a service."""
-        client = self.node.create_client(kind, name)
-        assert client.wait_for_service(LIMIT), name
-        future = client.call_async(kind.Request(**fields))
-        wait_until(future.done, f"an answer of {name}")
-        return future.result()
+        return answer_of(self.node, kind, name, **fields)
 
     def close(self):
         self._cleanup.close()
@@ -291,6 +308,12 @@ def _kill(process):
     if process.poll() is None:
         process.kill()
         process.wait()
+
+
+@pytest.fixture(scope="session", name="answer_of")
+def answer_of_fixture():
+    """Return the function of that name."""
+    return answer_of
 
 
 @pytest.fixture(scope="session")

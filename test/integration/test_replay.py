@@ -37,7 +37,8 @@ TOPICS = {"imu/data_raw": Imu, "altitude": PointStamped, "ground_truth/attitude"
 class Listener:
     """A node that keeps the raw messages of some topics and may answer the IMU's."""
 
-    def __init__(self, domain, types, namespace="", answers=False):
+    def __init__(self, answer_of, domain, types, namespace="", answers=False):
+        self.answer_of = answer_of
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=domain)
         self.node = rclpy.create_node("listener", context=self.context, namespace=namespace)
@@ -64,11 +65,7 @@ class Listener:
         return self.call("replay_node/start")
 
     def call(self, service):
-        client = self.node.create_client(Trigger, service)
-        assert client.wait_for_service(LIMIT)
-        future = client.call_async(Trigger.Request())
-        wait_until(future.done)
-        return future.result()
+        return self.answer_of(self.node, Trigger, service)
 
     def close(self):
         self.cleanup.close()
@@ -89,11 +86,11 @@ def bag(tmp_path_factory):
 
 
 @pytest.fixture
-def listen(domain):
+def listen(answer_of, domain):
     listeners = []
 
     def make(*arguments, **named):
-        listeners.append(Listener(domain, *arguments, **named))
+        listeners.append(Listener(answer_of, domain, *arguments, **named))
         return listeners[-1]
 
     yield make
