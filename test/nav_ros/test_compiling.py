@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from nav_ros.cli import one_line_errors
 from nav_ros.compiling import compilations_told
 
 SOURCE = """
@@ -61,3 +62,13 @@ def test_the_compiler_starts_without_scipy_which_may_be_imported_afterwards():
             "assert 'numba.np.arraymath' in sys.modules and 'scipy.linalg' not in sys.modules;"
             "from scipy.linalg import expm; start_compiler(); assert 'scipy.linalg' in sys.modules")
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_tool_tells_it_on_a_terminal_only(load, capsys, monkeypatch):
+    with one_line_errors("tool"):
+        load().kernel(2.0)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with one_line_errors("tool"):
+        load().kernel(2)  # another type
+    assert capsys.readouterr().err.startswith("tool: compiling kernel (once; kept in ")
