@@ -22,9 +22,9 @@ SPREAD = 0.3  # of the logarithm of each parameter
 TUNED = ("gyro_noise_density", "gyro_rate_error", "gyro_bias_std", "accel_noise_density", "accel_force_error",
          "accel_bias_std", "accel_bias_time", "gravity_time", "gravity_floor_std", "gravity_residual_share",
          "gravity_decay_time", "gravity_correlation", "gravity_lasting_time", "gravity_lasting_share",
-         "gravity_lasting_share_alone", "gravity_pull_time", "accel_vibration_share", "gravity_start_std",
-         "gravity_bias_share", "altitude_std", "altitude_drift_density", "altitude_scale_error", "altitude_delay_std",
-         "altitude_gate", "altitude_step_gate")
+         "gravity_lasting_share_alone", "accel_vibration_share", "gravity_start_std", "gravity_bias_share",
+         "altitude_std", "altitude_drift_density", "altitude_scale_error", "altitude_delay_std", "altitude_gate",
+         "altitude_step_gate")
 SIMULATED = ("turn", "car", "quad", "aerobatic")
 COVERED = 0.97  # of the time inside 3 sigma; what is missing costs COVERAGE_PRICE times the same share of tilt
 COVERAGE_PRICE = 5.0
