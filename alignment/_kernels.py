@@ -54,8 +54,12 @@ def search_heading(in_plane, covariance, scale_var, skew_var, level, level_covar
             minima[count], best, best_cost = best, minima[count], mirror_cost
         _, misfit, _, information, scale = _fit_at(best, known)
         second, second_cost = _second_mode(best, information, minima[:count + 1], costs, known)
-        out[n] = (_wrap(best), 1 / information if information > 0 else np.inf, misfit, second,
-                  second_cost - best_cost, scale)
+        out[n, 0] = _wrap(best)
+        out[n, 1] = 1 / information if information > 0 else np.inf
+        out[n, 2] = misfit
+        out[n, 3] = second
+        out[n, 4] = second_cost - best_cost
+        out[n, 5] = scale
 
 
 @njit(cache=True)

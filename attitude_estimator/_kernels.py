@@ -169,8 +169,8 @@ def restart(m, gap):
     model = m[P_MODEL]
     initialise(m)
     if model == 0.0:
-        m[X + BG:X + N] = kept
         for i in range(6):
+            m[X + BG + i] = kept[i]
             for j in range(6):
                 m[P + N * (BG + i) + BG + j] = block[i, j]
         for i in range(3):
