@@ -37,8 +37,9 @@ class DwellCollector:
         waited for; with None every dwell counts.
     angle : float
         Last table angle, rad, NaN before the first.
-    gaps, lost : int
-        Gaps in a stream; samples dropped because the other stream was missing.
+    gaps, lost, refused : int
+        Gaps in a stream; samples dropped because the other stream was missing; samples that were not numbers or not
+        later than the one before.
     joint_check : alignment.joint_check.JointCheck
         Of all moves so far.
     """
@@ -46,7 +47,7 @@ class DwellCollector:
     def __init__(self, params):
         self.params = params
         self.wanted = None
-        self.gaps = self.lost = 0
+        self.gaps = self.lost = self.refused = 0
         self.reset()
 
     def reset(self):
@@ -59,7 +60,7 @@ class DwellCollector:
     def pause(self):
         """Forget every sample; dwells that follow come later than those before."""
         self._joints, self._waiting = deque(), deque()
-        self._anchor = self._stop_start = self._last = math.nan
+        self._anchor = self._stop_start = self._last = self._newest = math.nan
         self._travel, self._dwelt = 0.0, True
         self._rows, self._moving, self._blocks = [], [], []
         self.angle = math.nan
@@ -99,6 +100,10 @@ class DwellCollector:
     def add_imu(self, stamp_ns, gyro_b, accel_b):
         """Take in an IMU sample; return the dwells that it completes."""
         time = self._time(stamp_ns)
+        if time <= self._newest or not math.isfinite(sum(gyro_b) + sum(accel_b)):
+            self.refused += 1
+            return []
+        self._newest = time
         self._waiting.append((time, *gyro_b, *accel_b))
         if time - self._waiting[0][0] > _LONGEST_WAIT:
             self._waiting.popleft()

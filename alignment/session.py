@@ -149,6 +149,11 @@ class TableSession:
         return self._collector.gaps
 
     @property
+    def refused(self):
+        """Samples that were not numbers or not later than the one before."""
+        return self._collector.refused
+
+    @property
     def phase(self):
         """One of stopped, waiting, coarse, positions, rotation, aligned."""
         if not self.running:

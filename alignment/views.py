@@ -169,7 +169,8 @@ class TableView:
         if session.rejected:
             values["last_rejection"] = session.rejected[-1].rejection
         values |= {"joint_per_gyro_turn": session.joint.ratio, "joint_delay_s": session.joint.delay}
-        return values | {"gaps": session.gaps, "samples_without_angle": session.lost}
+        return values | {"gaps": session.gaps, "samples_without_angle": session.lost,
+                         "samples_refused": session.refused}
 
     def findings(self):
         """Return key -> value of what else a whole recording tells, every method's result among it."""

@@ -65,6 +65,19 @@ def test_samples_without_an_angle_are_counted_and_dropped():
     assert collector.lost > 0 and collector.partial() is None
 
 
+def test_samples_that_are_not_numbers_or_not_later_are_left_out_and_counted():
+    class Spoilt(DwellCollector):
+        def add_imu(self, stamp_ns, gyro_b, accel_b):
+            k = (stamp_ns - START_NS) // RATE_NS
+            return super().add_imu(stamp_ns - RATE_NS * (k % 100 == 50),
+                                   [math.nan, 0.0, 0.0] if k % 100 == 0 else gyro_b, accel_b)
+
+    collector = Spoilt(PARAMS)
+    (dwell,) = feed(collector, track(0.0, (5.0, 0.0)))
+    assert collector.refused == 6 and dwell.rejection == ""
+    assert np.isfinite([dwell.gyro_b, dwell.accel_b]).all()
+
+
 def test_an_encoder_that_wraps_has_not_moved():
     angles = track(math.pi, (5.0, math.pi))
     angles[::2] -= 2 * math.pi
