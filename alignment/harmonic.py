@@ -187,7 +187,7 @@ def _condition(normal, count):
     """Return the condition number of columns, each scaled to unit length, from their products."""
     length = np.sqrt(np.diag(normal).clip(np.finfo(float).tiny))
     singular = np.sqrt(np.linalg.eigvalsh(normal / np.outer(length, length)).clip(0.0))
-    condition = singular[-1] / max(singular[0], np.finfo(float).tiny)
+    condition = singular[-1] / max(singular[0], np.finfo(float).eps)  # rounding tells no more
     if count < len(normal) or condition > LARGEST_CONDITION:
         rank = min(count, int(np.sum(singular * LARGEST_CONDITION > singular[-1])))
         raise NotEnoughDataError(
