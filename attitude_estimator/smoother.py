@@ -137,7 +137,7 @@ class _Steps:
 
     def __init__(self):
         self.after_x, self.after_P = np.empty((PART + 1, N)), np.empty((PART + 1, N, N))
-        self.after_known = np.empty(PART + 1, bool)
+        self.after_known, self.after_pulled = np.empty(PART + 1, bool), np.empty(PART + 1)
         self.predicted_x, self.predicted_P = np.empty((PART, N)), np.empty((PART, N, N))
         self.keeps = np.empty((PART, N), bool)
         self.dt, self.samples = np.empty(PART), np.empty((PART, 6))
@@ -173,6 +173,7 @@ class _Steps:
         self.after_x[k] = memory[X]
         self.after_P[k] = memory[P].reshape(N, N)
         self.after_known[k] = memory[kernels.ATTITUDE] == 1.0
+        self.after_pulled[k] = memory[kernels.PULLED]
 
     def _predict(self, memory, forget):
         """Keep the last sample as it was used, and what the filter predicted with it."""
@@ -222,7 +223,7 @@ class _Smoothed:
         Returns
         -------
         covariance : (n, 3, 3)
-            Of the down direction.
+            Of the down direction, with what a lasting acceleration may have pulled it along in the filter.
         starts : (n,) bool
             Where the attitude does not follow from the sample before.
         """
@@ -234,7 +235,7 @@ class _Smoothed:
             params.earth_rate_down(), params.accel_bias_time, kernels.LOST_TRACE, self._x, self._P,
             self._known, x, covariance, known)
         _write_state(rows, x, np.diagonal(covariance, axis1=1, axis2=2), known)
-        return covariance[:, :3, :3], ~steps.keeps[:n, 0]
+        return covariance[:, :3, :3] + steps.after_pulled[1:n + 1, None, None] * np.eye(3), ~steps.keeps[:n, 0]
 
 
 def _write_state(rows, x, variances, known):
