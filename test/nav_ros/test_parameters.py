@@ -162,7 +162,7 @@ def test_parameter_files(tmp_path, kind):
     file.write_text(FILES[kind])
     values = load_parameter_file(file, "filter", parameter_names(Params))
     assert values == {"noise": 0.001, "count": 5}
-    assert params_from_values(Params, values) == params_from_values(Params, {"noise": 1e-3, "count": 5})
+    assert repr(params_from_values(Params, values)) == repr(Params(noise=1e-3, count=5))  # NaN is not NaN
 
 
 def test_nested_names_take_dots(tmp_path):
