@@ -10,7 +10,6 @@ import argparse
 import dataclasses
 import math
 import os
-import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +35,7 @@ from inertial.rotation import (
     quaternion_multiply,
 )
 from inertial.table_scenarios import HEADING, LATITUDE, PITCH, ROLL, TABLE_SCENARIOS, simulate_table
+from studies import head_commit
 from studies.north_finding import table
 from studies.standing_runs import ARCMINUTE, DEG, DEG_PER_HOUR, each, root_mean, told, wrap
 
@@ -60,10 +60,9 @@ def main(argv=None):
     parser.add_argument("--workers", type=int, default=min(WORKERS, os.cpu_count() or 1), help="processes")
     arguments = parser.parse_args(argv)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     lines = [
         "# Faults of a turntable, disturbances of a vehicle", "",
-        f"Made by `python3 -m studies.disturbances` from commit {commit.stdout.strip() or 'unknown'}, seed "
+        f"Made by `python3 -m studies.disturbances` from commit {head_commit()}, seed "
         f"{TABLE_SEED} for the table, seeds 0 to {arguments.seeds - 1} for the vehicles; latitude "
         f"{LATITUDE / DEG:.0f} deg. One fault at a time, of the size named; error over sigma beyond 4 means that the "
         "finder is wrong and does not know it.", "",

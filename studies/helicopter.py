@@ -5,7 +5,6 @@ seeds. "The paper" is that of :mod:`inertial.helicopter`.
 """
 
 import argparse
-import subprocess
 import warnings
 from pathlib import Path
 
@@ -37,6 +36,7 @@ from inertial.rotation import (
     quaternion_multiply,
     roll_pitch_from_down,
 )
+from studies import head_commit
 from studies.north_finding import rms, table
 
 SEED = 20240601
@@ -67,9 +67,8 @@ def main(argv=None):
     parser.add_argument("--runs", type=int, default=20, help="flights for each figure that varies with the noise")
     arguments = parser.parse_args(argv)
     (arguments.out / "helicopter").mkdir(parents=True, exist_ok=True)
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     lines = ["# The helicopter", "",
-             f"Made by `study_helicopter` from commit {commit.stdout.strip() or 'unknown'}, seed {SEED}.", "",
+             f"Made by `study_helicopter` from commit {head_commit()}, seed {SEED}.", "",
              *helicopter_report(arguments.out / "helicopter", arguments.runs)]
     (arguments.out / "helicopter.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     print(arguments.out / "helicopter.md")

@@ -9,7 +9,6 @@ inertial navigation system alignment and its stability analysis".
 import argparse
 import math
 import os
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from time import process_time
@@ -24,6 +23,7 @@ from inertial.earth import EARTH_RATE
 from inertial.parked_scenarios import GRADES as PARKED_GRADES
 from inertial.rotation import dcm_from_quaternion
 from inertial.table_scenarios import LATITUDE
+from studies import head_commit
 from studies.standing_runs import (
     ACCURACY,
     ARCMINUTE,
@@ -120,10 +120,9 @@ def main(argv=None):
 
 def heading_lines(seeds):
     """Return what the reader needs to know first."""
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     return [
         "# INS alignment at rest", "",
-        f"Made by `study_ins_alignment` from commit {commit.stdout.strip() or 'unknown'}; {seeds} seeds (0, 1, 2 ...) "
+        f"Made by `study_ins_alignment` from commit {head_commit()}; {seeds} seeds (0, 1, 2 ...) "
         f"a figure unless told otherwise, 100 Hz, latitude {LATITUDE / DEG:.0f} deg. Headings in arcminutes, times "
         "in seconds. Sensors have a constant bias and white noise where the Cramer-Rao bound is to be met; all "
         "errors of their grade, in a swaying vehicle with people in it, where the product is on trial. Intervals "

@@ -6,7 +6,6 @@ computed here, from fixed seeds. Printed values are those of Mohammadkarimi, Nou
 """
 
 import argparse
-import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,7 @@ from alignment.turntable import (
     simulate_readings,
 )
 from inertial.earth import EARTH_RATE, STANDARD_GRAVITY
+from studies import head_commit
 
 SEED = 20230401
 DEG = np.pi / 180
@@ -91,11 +91,9 @@ def main(argv=None):
 
 def heading_lines(trials):
     """Return what the reader needs to know first."""
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True,
-                            check=False)
     return [
         "# North finding on a turntable", "",
-        f"Made by `study_north_finding` from commit {commit.stdout.strip() or 'unknown'}, seed {SEED}, "
+        f"Made by `study_north_finding` from commit {head_commit()}, seed {SEED}, "
         f"{trials} trials a row.", "",
         "One gyro and one accelerometer on a turntable at rest find level and true north. First the "
         "paper's own tables and figures beside the same equations (as corrected) computed here; then what "

@@ -5,7 +5,6 @@
 """
 
 import argparse
-import subprocess
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -38,6 +37,7 @@ from inertial.strapdown import (
     dcm_en,
 )
 from inertial.trajectory import Motion
+from studies import head_commit
 from studies.north_finding import table
 from studies.timing import times_in_turn
 
@@ -546,10 +546,9 @@ def main(argv=None):
     arguments = parser.parse_args(argv)
     plots = arguments.out / "strapdown"
     plots.mkdir(parents=True, exist_ok=True)
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     sections = [
         ["# Strapdown navigation", "",
-         f"Made by `study_strapdown` from commit {commit.stdout.strip() or 'unknown'}; no noise, hence no seed "
+         f"Made by `study_strapdown` from commit {head_commit()}; no noise, hence no seed "
          "but 0 for one set of sensor errors. The algorithm is told in `inertial/strapdown.py`."],
         coning_section(plots), runs_section(plots, arguments.hours), semantics_section(), vertical_section(plots),
         claims_section(), cost_section()]

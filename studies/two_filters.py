@@ -7,7 +7,6 @@ velocity (in Persian); its equations as they are used stand in ``attitude_estima
 
 import argparse
 import dataclasses
-import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +33,7 @@ from inertial.rotation import (
 from inertial.scoring import score_attitude
 from inertial.simulator import simulate
 from nav_ros.bags import read_recording
+from studies import head_commit
 from studies.north_finding import table
 from studies.recordings import family_of, recordings_folder
 from studies.timing import times_in_turn
@@ -664,11 +664,10 @@ def main(argv=None):
     arguments = parser.parse_args(argv)
     plots = arguments.out / "two_filters"
     plots.mkdir(parents=True, exist_ok=True)
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     flights, figures = flight_section(max(arguments.runs // 9, 1), plots)
     sections = [
         ["# Two Kalman filters", "",
-         f"Made by `study_two_filters` from commit {commit.stdout.strip() or 'unknown'}, seed {SEED}. The filters are "
+         f"Made by `study_two_filters` from commit {head_commit()}, seed {SEED}. The filters are "
          "told in `attitude_estimator/navigation/`."],
         closed_form_section(), consistency_section(arguments.runs, plots), gain_section(), flights,
         honesty_section(max(arguments.runs // 22, 1)), recordings_section(), claims_section(figures), cost_section()]
